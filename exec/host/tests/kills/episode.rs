@@ -17,6 +17,8 @@ use tandem_board_host::RunName;
 use crate::check::check;
 use crate::platform::{self, CANDIDATES, CLIENTS, Record};
 
+/// Ways in which a platform ends.
+pub(crate) const ENDS: u64 = 5;
 /// Kills in one life of a platform, at most.
 const LONGEST: u64 = 40;
 /// How long something may take that must happen: far more than on a busy machine.
@@ -270,8 +272,8 @@ impl Drop for Life {
     }
 }
 
-/// Runs one episode of at most `most` kills.
-pub(crate) fn run(dice: &mut Dice, most: u64) -> Outcome {
+/// Runs the episode of this number, of at most `most` kills.
+pub(crate) fn run(dice: &mut Dice, number: u64, most: u64) -> Outcome {
     let mut life = Life::start();
     let mut outcome = Outcome {
         kills: 0,
@@ -282,12 +284,12 @@ pub(crate) fn run(dice: &mut Dice, most: u64) -> Outcome {
     };
     life.is_in_step_again(&mut outcome);
     // The last kill of an episode is the end of the platform.
-    let kills = (1 + dice.below(LONGEST)).min(most);
+    let kills = 1 + dice.below(LONGEST.min(most));
     while outcome.kills + 1 < kills && kill_one(&life, dice, &mut outcome) {}
     if !outcome.is_safe_state {
         life.is_in_step_again(&mut outcome);
     }
-    end(&mut life, dice, &mut outcome);
+    end(&mut life, number % ENDS, dice, &mut outcome);
     let (wrong, cycles) = check(&life.logs());
     outcome.wrong.extend(wrong);
     outcome.cycles = cycles;
@@ -336,9 +338,9 @@ fn kill_one(life: &Life, dice: &mut Dice, outcome: &mut Outcome) -> bool {
 }
 
 /// Ends the platform in one of several ways, and checks that nothing is left.
-fn end(life: &mut Life, dice: &mut Dice, outcome: &mut Outcome) {
+fn end(life: &mut Life, way: u64, dice: &mut Dice, outcome: &mut Outcome) {
     let run = life.run.as_str().to_owned();
-    let (mode, signal) = match dice.below(5) {
+    let (mode, signal) = match way {
         0 => ("guardian", Signal::KILL),
         1 => ("launcher", Signal::KILL),
         2 => ("launcher", Signal::TERM),
