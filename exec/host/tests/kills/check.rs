@@ -95,8 +95,8 @@ fn check_client(log: &[Record], wrong: &mut Vec<String>) {
     }
 }
 
-/// The safe state is right if, and only if, fewer than two members of the cycle before it still run:
-/// so two could not agree.
+/// The safe state is right only if fewer than two members of the cycle before it still run: then no
+/// two can agree.
 fn check_safe_state(logs: &[Vec<Record>], wrong: &mut Vec<String>) {
     let safe = logs.iter().flatten().find(|record| record.safe_state == 1);
     let Some(safe) = safe else {

@@ -54,6 +54,8 @@ pub(crate) struct Outcome {
     /// Signal and victim of each kill.
     pub(crate) victims: Vec<String>,
     pub(crate) wrong: Vec<String>,
+    /// What helps to understand what is wrong.
+    pub(crate) story: String,
 }
 
 /// A process of the platform.
@@ -281,22 +283,36 @@ pub(crate) fn run(dice: &mut Dice, number: u64, most: u64) -> Outcome {
         is_safe_state: false,
         victims: vec![],
         wrong: vec![],
+        story: String::new(),
     };
     life.is_in_step_again(&mut outcome);
     // The last kill of an episode is the end of the platform.
     let kills = 1 + dice.below(LONGEST.min(most));
     while outcome.kills + 1 < kills && kill_one(&life, dice, &mut outcome) {}
-    if !outcome.is_safe_state {
-        life.is_in_step_again(&mut outcome);
+    if !outcome.is_safe_state && life.is_in_step_again(&mut outcome) {
+        count_processes(&life, &mut outcome);
     }
     end(&mut life, number % ENDS, dice, &mut outcome);
     let (wrong, cycles) = check(&life.logs());
     outcome.wrong.extend(wrong);
     outcome.cycles = cycles;
     if !outcome.wrong.is_empty() {
-        outcome.wrong.push(life.story(&outcome.victims));
+        outcome.story = life.story(&outcome.victims);
     }
     outcome
+}
+
+/// After all kills each process runs once: also what a killed one had started.
+fn count_processes(life: &Life, outcome: &mut Outcome) {
+    let counts = || {
+        let found = processes_of(life.run.as_str());
+        PROCESSES.map(|mode| found.iter().filter(|it| it.mode == mode).count())
+    };
+    if !eventually(|| counts() == [CLIENTS, CANDIDATES, 1, 1]) {
+        outcome
+            .wrong
+            .push(format!("{PROCESSES:?} run {:?} times", counts()));
+    }
 }
 
 /// Kills one of the processes. Returns `false` if the episode is to end.

@@ -68,6 +68,9 @@ fn kills() {
             println!("VIOLATION after {kills} kills: {what}");
             wrong.push(what);
         }
+        if !outcome.story.is_empty() {
+            println!("{}", outcome.story);
+        }
     }
     let seconds = begin.elapsed().as_secs_f64();
     println!(
