@@ -8,6 +8,7 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Duration as Span;
 
+use rustix::process::{Signal, set_parent_process_death_signal};
 use signal_hook::consts::SIGTERM;
 use signal_hook::low_level::pipe;
 use tandem_board::Duration;
@@ -143,6 +144,8 @@ fn stops() -> std::io::Result<UnixStream> {
 
 /// Owns the shared memory. If it dies, the post-clean-up removes that.
 fn guardian(run: &RunName, manifest: &Path) -> Done {
+    // Also if the test is killed, nothing stays.
+    set_parent_process_death_signal(Some(Signal::TERM))?;
     Place::create(run, PLACE)?;
     let mut command = Command::new("/proc/self/exe");
     command.args(["launcher", run.as_str()]).arg(manifest);
