@@ -82,6 +82,8 @@ pub struct Placement {
     pub groups: Option<Vec<u32>>,
     /// Descriptors that it inherits, beside the standard streams.
     pub keep: Vec<Arc<OwnedFd>>,
+    /// `cgroup.procs` of the control groups that it joins, open for writing.
+    pub join: Vec<Arc<OwnedFd>>,
     /// The signal that it gets when the calling thread has ended, in any way.
     pub when_caller_ends: Option<Signal>,
 }
@@ -104,10 +106,12 @@ pub enum Wish {
     Scheduling,
     /// A limit.
     Limit,
+    /// A control group.
+    Group,
 }
 
 impl Wish {
-    const ALL: [Self; 3] = [Self::Cpus, Self::Scheduling, Self::Limit];
+    const ALL: [Self; 4] = [Self::Cpus, Self::Scheduling, Self::Limit, Self::Group];
 }
 
 /// Starts a process in a process group of its own, with this placement. It can outlive the caller.
@@ -141,6 +145,7 @@ struct Prepared {
     gid: Option<Gid>,
     groups: Option<Vec<Gid>>,
     keep: Vec<Arc<OwnedFd>>,
+    join: Vec<Arc<OwnedFd>>,
     when_caller_ends: Option<(Signal, Pid)>,
 }
 
@@ -171,6 +176,7 @@ impl Prepared {
             gid: placement.gid.map(Gid::from_raw),
             groups: groups.map(|all| all.into_iter().map(Gid::from_raw).collect()),
             keep: placement.keep.clone(),
+            join: placement.join.clone(),
             when_caller_ends: placement.when_caller_ends.map(|it| (it, getpid())),
         }
     }
@@ -181,6 +187,10 @@ impl Prepared {
             // A full pipe cannot be: there are fewer wishes than it has room.
             let _ = rustix::io::write(tell, &[wish as u8]);
         };
+        // Process 0 is the one that writes.
+        if self.join.iter().any(|group| rustix::io::write(group, b"0").is_err()) {
+            refuse(Wish::Group);
+        }
         if let Some(cpus) = &self.cpus
             && sched_setaffinity(None, cpus).is_err()
         {

@@ -47,6 +47,9 @@ pub use guardian::{GIVES_UP, GuardEnd, GuardPlan, Guardian, NOTHING_STARTED};
 /// The longest time between two looks at the guardian, and at processes that were left.
 const LOOK_AGAIN: Duration = Duration::from_ms(500);
 
+/// The most reports between two looks at all else: a process that floods must not hold it up.
+const MOST_AT_ONCE: usize = 256;
+
 /// Why a manifest cannot be run. Nothing was started.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
@@ -363,7 +366,8 @@ impl Shell<'_> {
     /// Waits until something happens, and notes it.
     fn wait(&mut self) -> Result<(), Unrecoverable> {
         let now = clock::now();
-        let look_again = now + LOOK_AGAIN;
+        let watchdog = Duration::from_ns(self.manifest.safe_state.watchdog.as_ns() / 4);
+        let look_again = now + LOOK_AGAIN.min(watchdog);
         let until = self.supervisor.next_tick(now).map_or(look_again, |it| it.min(look_again));
         let span = until.since(now).as_ns();
         let span = Timespec {
@@ -385,7 +389,10 @@ impl Shell<'_> {
 
     fn hear(&mut self) -> Result<(), Unrecoverable> {
         // Reports first: a process that reports and ends has reported.
-        while let Some((pid, datagram)) = self.notify.receive(clock::now()) {
+        for _ in 0..MOST_AT_ONCE {
+            let Some((pid, datagram)) = self.notify.receive(clock::now()) else {
+                break;
+            };
             let Some(at) = self.children.reporter(pid) else {
                 continue;
             };

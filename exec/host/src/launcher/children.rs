@@ -14,6 +14,7 @@ use rustix::process::{Resource, Signal, kill_process_group};
 use tandem_board_host::spawn::{self, Placement, RealtimePolicy, Watched, Wish};
 
 use super::descendants::{self, MARK};
+use super::group::MemoryGroups;
 use super::{SocketNames, Unrecoverable, system};
 use crate::manifest::{Manifest, ProcessPlan, ResourceLimits, SchedulingPolicy};
 use crate::report::{CONTROL_SOCKET, NOTIFY_SOCKET};
@@ -22,6 +23,9 @@ use crate::trust::Platform;
 
 /// The path for programs that a process starts; deterministic.
 const PATH: &str = "/usr/local/bin:/usr/bin:/bin:/usr/local/sbin:/usr/sbin:/sbin";
+
+/// What is told if memory is limited by `setrlimit` alone.
+const NO_MEMORY_GROUP: &str = "a memory group (cgroup v1): its limit is RLIMIT_DATA alone";
 
 #[derive(Debug)]
 pub(super) struct Children {
@@ -33,6 +37,7 @@ pub(super) struct Children {
     status: Vec<String>,
     /// A guardian handles what is left when the launcher dies.
     guarded: bool,
+    memory: Option<MemoryGroups>,
 }
 
 #[derive(Debug)]
@@ -61,6 +66,7 @@ impl Children {
             running: (0..count).map(|_| None).collect(),
             status: vec![String::new(); count],
             guarded,
+            memory: MemoryGroups::named(&names.control),
         }
     }
 
@@ -92,6 +98,13 @@ impl Children {
         if let Err(error) = self.set_output(plan, &mut command) {
             return refused(&error, format!("its output: {error}"));
         }
+        let mut refusals = vec![];
+        if let Some(bytes) = plan.limits.memory {
+            match self.memory.as_ref().map(|groups| groups.make(plan.name(), bytes)) {
+                Some(Ok(group)) => placement.join.push(Arc::new(group)),
+                _ => refusals.push(NO_MEMORY_GROUP),
+            }
+        }
         let (child, wishes) = match spawn::spawn(&mut command, &placement) {
             Ok(started) => started,
             Err(error) => {
@@ -106,7 +119,8 @@ impl Children {
         if let Some(place) = self.running.get_mut(at) {
             *place = Some(Running { child, watched });
         }
-        Ok(Ok((pid, wishes.into_iter().map(in_words).collect())))
+        refusals.extend(wishes.into_iter().map(in_words));
+        Ok(Ok((pid, refusals)))
     }
 
     /// Leads standard output and standard error to the file of the manifest.
@@ -167,6 +181,11 @@ impl Children {
     /// Kills what the processes have started and left. In a process of its own, the launcher kills
     /// all of its descendants.
     pub(super) fn kill_what_is_left(&self) {
+        self.kill_orphans();
+        self.memory.iter().for_each(MemoryGroups::remove);
+    }
+
+    fn kill_orphans(&self) {
         for plan in &self.manifest.processes {
             if self.guarded {
                 while descendants::signal_all(Signal::KILL) > 0 {
@@ -252,6 +271,7 @@ fn placement(plan: &ProcessPlan) -> Placement {
         gid: plan.gid,
         groups: plan.groups.clone(),
         keep: vec![],
+        join: vec![],
         when_caller_ends: None,
     }
 }
@@ -275,5 +295,6 @@ const fn in_words(wish: Wish) -> &'static str {
         Wish::Cpus => "its CPUs",
         Wish::Scheduling => "its scheduling policy and priority",
         Wish::Limit => "a limit: the hard limit of the launcher is lower",
+        Wish::Group => NO_MEMORY_GROUP,
     }
 }

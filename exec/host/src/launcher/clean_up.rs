@@ -10,7 +10,7 @@ use rustix::time::Timespec;
 use tandem_board_host::spawn::{self, Watched};
 
 use super::descendants;
-use super::group::ControlGroup;
+use super::group::{ControlGroup, MemoryGroups};
 use crate::manifest::SafeState;
 use crate::trust::Platform;
 
@@ -29,6 +29,7 @@ pub(super) struct CleanUp {
     /// The manifest's folder and the anchor, for commands of the manifest.
     pub(super) manifest: Option<(PathBuf, Option<PathBuf>)>,
     pub(super) group: Option<ControlGroup>,
+    pub(super) memory: Option<MemoryGroups>,
 }
 
 impl CleanUp {
@@ -49,6 +50,7 @@ impl CleanUp {
             failed.push(format!("processes that cannot be killed: {left:?}"));
         }
         self.group.iter().for_each(ControlGroup::remove);
+        self.memory.iter().for_each(MemoryGroups::remove);
         failed.extend(self.command("post-clean-up", &self.after, within).err());
         failed
     }
@@ -102,6 +104,7 @@ impl AloneCleanUp {
             within_ms: safe_state.within.as_us() / 1_000,
             manifest: Some(manifest),
             group: None,
+            memory: MemoryGroups::named(group),
         };
         Self(clean_up, group.to_owned())
     }

@@ -20,9 +20,11 @@ use tandem_board_host::spawn::{self, Watched};
 
 use super::clean_up::CleanUp;
 use super::descendants;
-use super::group::ControlGroup;
+use super::group::{ControlGroup, MemoryGroups};
 use crate::manifest::SafeState;
 
+/// The shortest time of the watchdog: below, a busy machine would end a launcher that works.
+const SHORTEST: Duration = Duration::from_millis(100);
 /// The exit status of a launcher that gives up.
 pub const GIVES_UP: u8 = 70;
 /// The exit status of a launcher that has started nothing.
@@ -135,6 +137,7 @@ impl Guardian {
                 within_ms: defaults.within.as_us() / 1_000,
                 manifest: None,
                 group: None,
+                memory: None,
             },
             plan,
             launcher: child,
@@ -220,13 +223,14 @@ impl Guardian {
     }
 
     fn begin(&mut self, begin: Begin, warn: &mut dyn FnMut(&str)) {
-        self.watchdog = Duration::from_millis(begin.watchdog_ms);
+        self.watchdog = SHORTEST.max(Duration::from_millis(begin.watchdog_ms));
         self.clean_up.within_ms = begin.within_ms;
         // Beside the start of the processes: a move takes 5 to 15 ms, in which the kernel waits.
         let launcher = self.launcher.id();
         let group = ControlGroup::make(&begin.group);
         let all = || descendants::living(&[launcher]);
         self.clean_up.group = group.filter(|it| it.take(all));
+        self.clean_up.memory = MemoryGroups::named(&begin.group);
         if self.clean_up.group.is_none() {
             warn("no control group (cgroup v2) is granted: process groups and /proc take its place");
         }

@@ -247,10 +247,16 @@ fn sandbox_options() {
     let more = "ready = \"exit\"\ndirectory = \"inner\"\ncpus = [0]\npolicy = \"fifo\"\n\
         priority = 7\nlimits = { open-files = 32, core = 0, memory = 100000000 }\n";
     let more = if is_root { format!("{user}{more}") } else { more.to_owned() };
-    let rig = Rig::prepare(&[
+    let placed = [
+        "copy:/proc/self/status=status",
+        "copy:/proc/self/limits=limits",
+        "copy:/proc/self/stat=stat",
+        "append:written",
+    ];
+    let mut rig = Rig::prepare(&[
         head(),
         driver(&["to:placed"]),
-        process("placed", &["tell:status", "append:limits"], &more),
+        process("placed", &placed, &more),
         tail(),
         target("placed", &["driver", "placed"]),
     ]);
@@ -258,7 +264,6 @@ fn sandbox_options() {
     std::fs::create_dir(&inner).unwrap();
     let all = std::os::unix::fs::PermissionsExt::from_mode(0o777);
     std::fs::set_permissions(&inner, all).unwrap();
-    let mut rig = rig;
     rig.launch(&[]);
     rig.end_well();
     let status = rig.text("inner/status");
@@ -267,11 +272,24 @@ fn sandbox_options() {
         line.split_whitespace().collect::<Vec<_>>().join(" ")
     };
     assert_eq!(field("Cpus_allowed_list:"), "0", "{status}");
+    let limits = rig.text("inner/limits");
+    let has = |name: &str, value: &str| {
+        let mut lines = limits.lines().filter(|line| line.starts_with(name));
+        lines.any(|line| line.split_whitespace().filter(|it| *it == value).count() == 2)
+    };
+    assert!(has("Max open files", "32"), "{limits}");
+    assert!(has("Max core file size", "0"), "{limits}");
+    assert!(has("Max data size", "100000000"), "{limits}");
+    // Fields 40 and 41, the priority and the policy (1: SCHED_FIFO). proc(5)
+    let stat = rig.text("inner/stat");
+    let fields: Vec<_> = stat.rsplit_once(')').unwrap().1.split_whitespace().skip(37).collect();
+    let is_granted = rig.events(&["placed: not granted", "policy"]).is_empty();
+    assert_eq!(fields[..2] == ["7", "1"], is_granted, "{stat}: {}", rig.story());
     if is_root {
         assert_eq!(field("Uid:"), "1234 1234 1234 1234");
         assert_eq!(field("Gid:"), "2345 2345 2345 2345");
         assert_eq!(field("Groups:"), "3456 4567");
-        let written = std::fs::metadata(rig.path("inner/limits")).unwrap();
+        let written = std::fs::metadata(rig.path("inner/written")).unwrap();
         assert_eq!((written.uid(), written.gid()), (1234, 2345));
     }
 }
