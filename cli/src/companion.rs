@@ -107,7 +107,9 @@ fn manifest(
     args: impl IntoIterator<Item = OsString>,
 ) -> anyhow::Result<String> {
     let words = std::iter::once(OsString::from(kind.command)).chain(args);
-    let words = words.map(OsString::into_string).collect::<Result<Vec<_>, _>>();
+    let words = words
+        .map(OsString::into_string)
+        .collect::<Result<Vec<_>, _>>();
     let words = words.map_err(|word| anyhow!("{}: not UTF-8", word.display()))?;
     let environment = std::env::vars_os().filter_map(|(name, value)| {
         let pair = (name.into_string().ok()?, value.into_string().ok()?);

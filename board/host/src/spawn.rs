@@ -188,7 +188,11 @@ impl Prepared {
             let _ = rustix::io::write(tell, &[wish as u8]);
         };
         // Process 0 is the one that writes.
-        if self.join.iter().any(|group| rustix::io::write(group, b"0").is_err()) {
+        if self
+            .join
+            .iter()
+            .any(|group| rustix::io::write(group, b"0").is_err())
+        {
             refuse(Wish::Group);
         }
         if let Some(cpus) = &self.cpus

@@ -100,7 +100,11 @@ impl Children {
         }
         let mut refusals = vec![];
         if let Some(bytes) = plan.limits.memory {
-            match self.memory.as_ref().map(|groups| groups.make(plan.name(), bytes)) {
+            match self
+                .memory
+                .as_ref()
+                .map(|groups| groups.make(plan.name(), bytes))
+            {
                 Some(Ok(group)) => placement.join.push(Arc::new(group)),
                 _ => refusals.push(NO_MEMORY_GROUP),
             }
@@ -127,7 +131,10 @@ impl Children {
     fn set_output(&self, plan: &ProcessPlan, command: &mut Command) -> io::Result<()> {
         if let Some(file) = &plan.output {
             let mut options = File::options();
-            let file = options.append(true).create(true).open(self.folder.join(file))?;
+            let file = options
+                .append(true)
+                .create(true)
+                .open(self.folder.join(file))?;
             command.stdout(file.try_clone()?).stderr(file);
         }
         Ok(())
@@ -241,7 +248,9 @@ fn refused(error: &(dyn Error + 'static), why: String) -> Result<Start, Unrecove
 fn system_failure(error: &(dyn Error + 'static)) -> Option<Errno> {
     let mut error = Some(error);
     while let Some(this) = error {
-        let number = this.downcast_ref::<io::Error>().and_then(Errno::from_io_error);
+        let number = this
+            .downcast_ref::<io::Error>()
+            .and_then(Errno::from_io_error);
         let number = number.or_else(|| this.downcast_ref::<Errno>().copied());
         let lacks = [Errno::AGAIN, Errno::NOMEM, Errno::MFILE, Errno::NFILE];
         if let Some(number) = number.filter(|it| lacks.contains(it)) {

@@ -70,7 +70,10 @@ impl CleanUp {
             }
         };
         command.args(arguments).stdin(Stdio::null());
-        let placement = spawn::Placement { keep, ..Default::default() };
+        let placement = spawn::Placement {
+            keep,
+            ..Default::default()
+        };
         let started = spawn::spawn(&mut command, &placement);
         let (mut child, _) = started.map_err(|error| fail(&error))?;
         if let Some(watched) = Watched::new(child.id()) {
@@ -97,7 +100,11 @@ impl CleanUp {
 pub struct AloneCleanUp(CleanUp, String);
 
 impl AloneCleanUp {
-    pub(super) fn of(safe_state: &SafeState, manifest: (PathBuf, Option<PathBuf>), group: &str) -> Self {
+    pub(super) fn of(
+        safe_state: &SafeState,
+        manifest: (PathBuf, Option<PathBuf>),
+        group: &str,
+    ) -> Self {
         let clean_up = CleanUp {
             before: safe_state.before.clone(),
             after: safe_state.after.clone(),

@@ -106,7 +106,9 @@ impl MemoryGroups {
         let path = self.root.join(process);
         fs::create_dir_all(&path)?;
         fs::write(path.join("memory.limit_in_bytes"), bytes.to_string())?;
-        let procs = File::options().write(true).open(path.join("cgroup.procs"))?;
+        let procs = File::options()
+            .write(true)
+            .open(path.join("cgroup.procs"))?;
         Ok(procs.into())
     }
 

@@ -72,7 +72,9 @@ pub(super) struct Link {
 
 impl Link {
     pub(super) fn new() -> Self {
-        Self { stream: io::stdin() }
+        Self {
+            stream: io::stdin(),
+        }
     }
 
     /// Tells the guardian what the clean-up needs.
@@ -96,7 +98,10 @@ impl Link {
 
     fn send(&self, line: &[u8]) -> bool {
         // A guardian that is suspended reads later: its silence is no end.
-        !matches!(rustix::io::write(&self.stream, line), Err(Errno::PIPE | Errno::CONNRESET))
+        !matches!(
+            rustix::io::write(&self.stream, line),
+            Err(Errno::PIPE | Errno::CONNRESET)
+        )
     }
 
     pub(super) fn fd(&self) -> BorrowedFd<'_> {
@@ -125,7 +130,9 @@ impl Guardian {
         set_child_subreaper(Some(getpid()))?;
         let (stream, theirs) = UnixStream::pair()?;
         theirs.set_nonblocking(true)?;
-        launcher.stdin(Stdio::from(OwnedFd::from(theirs))).process_group(0);
+        launcher
+            .stdin(Stdio::from(OwnedFd::from(theirs)))
+            .process_group(0);
         let child = launcher.spawn()?;
         drop(launcher);
         let watched = Watched::new(child.id()).ok_or(io::ErrorKind::NotFound)?;
@@ -153,11 +160,7 @@ impl Guardian {
     ///
     /// # Errors
     /// If the system does not permit to watch.
-    pub fn watch(
-        mut self,
-        stops: &UnixStream,
-        warn: &mut dyn FnMut(&str),
-    ) -> io::Result<GuardEnd> {
+    pub fn watch(mut self, stops: &UnixStream, warn: &mut dyn FnMut(&str)) -> io::Result<GuardEnd> {
         stops.set_nonblocking(true)?;
         self.stream.set_nonblocking(true)?;
         let mut last = Instant::now();
@@ -195,7 +198,11 @@ impl Guardian {
     }
 
     fn sleep(&self, stops: &UnixStream, span: Duration) {
-        let fds = [self.watched.fd().as_fd(), self.stream.as_fd(), stops.as_fd()];
+        let fds = [
+            self.watched.fd().as_fd(),
+            self.stream.as_fd(),
+            stops.as_fd(),
+        ];
         let mut fds = fds.map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN));
         let span = Timespec {
             tv_sec: span.as_secs() as i64,
@@ -232,7 +239,9 @@ impl Guardian {
         self.clean_up.group = group.filter(|it| it.take(all));
         self.clean_up.memory = MemoryGroups::named(&begin.group);
         if self.clean_up.group.is_none() {
-            warn("no control group (cgroup v2) is granted: process groups and /proc take its place");
+            warn(
+                "no control group (cgroup v2) is granted: process groups and /proc take its place",
+            );
         }
         if self.plan.before.is_empty() && self.plan.after.is_empty() {
             self.clean_up.before = begin.before;

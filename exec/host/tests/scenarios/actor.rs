@@ -60,7 +60,10 @@ fn act(verb: &str, object: &str) -> io::Result<()> {
             expect(lines.to_string() == count)
         }
         "crash-times" => {
-            let lines = fs::read_to_string("crashes").unwrap_or_default().lines().count();
+            let lines = fs::read_to_string("crashes")
+                .unwrap_or_default()
+                .lines()
+                .count();
             append("crashes", "crash\n")?;
             if (lines as u64) < number()? {
                 std::process::exit(1);
@@ -116,12 +119,20 @@ fn act(verb: &str, object: &str) -> io::Result<()> {
 }
 
 fn expect(is: bool) -> io::Result<()> {
-    if is { Ok(()) } else { Err(io::Error::other("not so")) }
+    if is {
+        Ok(())
+    } else {
+        Err(io::Error::other("not so"))
+    }
 }
 
 pub(crate) fn append(file: &str, text: &str) -> io::Result<()> {
     let mut options = fs::OpenOptions::new();
-    options.append(true).create(true).open(file)?.write_all(text.as_bytes())
+    options
+        .append(true)
+        .create(true)
+        .open(file)?
+        .write_all(text.as_bytes())
 }
 
 /// Waits for SIGTERM, and goes on.
@@ -174,7 +185,9 @@ fn steal_control(file: &str) -> io::Result<()> {
     let pid = fs::read_to_string(file)?;
     let environment = fs::read(format!("/proc/{}/environ", pid.trim()))?;
     let environment = String::from_utf8_lossy(&environment).into_owned();
-    let name = environment.split('\0').find_map(|it| it.strip_prefix("TANDEM_CONTROL_SOCKET=@"));
+    let name = environment
+        .split('\0')
+        .find_map(|it| it.strip_prefix("TANDEM_CONTROL_SOCKET=@"));
     let name = name.ok_or(io::ErrorKind::NotFound)?;
     let mut stream = UnixStream::connect_addr(&SocketAddr::from_abstract_name(name)?)?;
     stream.write_all(b"target off\n")?;
@@ -186,7 +199,9 @@ fn steal_control(file: &str) -> io::Result<()> {
 /// Starts a process in a session of its own that ignores SIGTERM, and does not wait for it.
 fn leave_child(file: &str) -> io::Result<()> {
     let mut child = Command::new("setsid");
-    child.arg(std::env::current_exe()?).args(["actor", &format!("append:{file}")]);
+    child
+        .arg(std::env::current_exe()?)
+        .args(["actor", &format!("append:{file}")]);
     child.args(["catch-term:child-termed"]).spawn()?;
     while !Path::new(file).exists() {
         std::thread::sleep(Duration::from_millis(5));

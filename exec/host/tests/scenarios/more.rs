@@ -9,10 +9,22 @@ use crate::rig::{Rig, driver, is_alive, process, signal, target};
 
 pub(crate) const ALL: &[(&str, fn())] = &[
     ("grandchild_does_not_escape", grandchild_does_not_escape),
-    ("report_of_a_child_is_not_believed", report_of_a_child_is_not_believed),
-    ("only_state_management_switches", only_state_management_switches),
-    ("deadline_and_order_of_checkpoints", deadline_and_order_of_checkpoints),
-    ("two_launchers_of_one_manifest", two_launchers_of_one_manifest),
+    (
+        "report_of_a_child_is_not_believed",
+        report_of_a_child_is_not_believed,
+    ),
+    (
+        "only_state_management_switches",
+        only_state_management_switches,
+    ),
+    (
+        "deadline_and_order_of_checkpoints",
+        deadline_and_order_of_checkpoints,
+    ),
+    (
+        "two_launchers_of_one_manifest",
+        two_launchers_of_one_manifest,
+    ),
     ("end_in_reverse_order", end_in_reverse_order),
     ("second_request_kills", second_request_kills),
     ("state_is_shown", state_is_shown),
@@ -65,7 +77,13 @@ fn report_of_a_child_is_not_believed() {
 
 /// A process that is not state management cannot switch the run target, even if it knows the socket.
 fn only_state_management_switches() {
-    let steps = ["ready", "wait:driver-pid", "steal-control:driver-pid", "append:tried", "pause"];
+    let steps = [
+        "ready",
+        "wait:driver-pid",
+        "steal-control:driver-pid",
+        "append:tried",
+        "pause",
+    ];
     let mut rig = Rig::start(&[
         head(),
         driver(&["to:both", "append:driver-pid", "wait:tried"]),
@@ -81,7 +99,14 @@ fn deadline_and_order_of_checkpoints() {
     let deadline = "deadlines = [{ from = 1, to = 2, most = \"400ms\" }]";
     let order = "logical = { first = [1], next = [[1, 2], [2, 1]] }";
     let late = ["ready", "checkpoint:1", "pause"];
-    let wrong = ["ready", "checkpoint:1", "checkpoint:2", "checkpoint:1", "checkpoint:1", "pause"];
+    let wrong = [
+        "ready",
+        "checkpoint:1",
+        "checkpoint:2",
+        "checkpoint:1",
+        "checkpoint:1",
+        "pause",
+    ];
     for (steps, more, words) in [
         (&late[..], deadline, "from checkpoint 1 to 2"),
         (&wrong[..], order, "checkpoint 1 is out of order"),
@@ -97,7 +122,13 @@ fn deadline_and_order_of_checkpoints() {
         assert_eq!(rig.events(&[words]).len(), 1, "{}", rig.story());
     }
     // In time and in order, nothing happens.
-    let right = ["ready", "checkpoint:1", "checkpoint:2", "checkpoint:1", "checkpoint:2"];
+    let right = [
+        "ready",
+        "checkpoint:1",
+        "checkpoint:2",
+        "checkpoint:1",
+        "checkpoint:2",
+    ];
     let steps = [&right[..], &["append:passed", "pause"]].concat();
     let both = format!("{}\n{order}", deadline.replace("400ms", "50s"));
     let mut rig = Rig::start(&[
@@ -113,11 +144,7 @@ fn deadline_and_order_of_checkpoints() {
 
 /// The second launcher of a manifest is refused, and does no harm to the first.
 fn two_launchers_of_one_manifest() {
-    let mut rig = Rig::start(&[
-        head(),
-        driver(&["append:reached", "wait:go"]),
-        tail(),
-    ]);
+    let mut rig = Rig::start(&[head(), driver(&["append:reached", "wait:go"]), tail()]);
     rig.wait_for("reached");
     let mut second = Command::new(std::env::current_exe().unwrap());
     let second = second.arg("guardian").arg(rig.manifest()).output().unwrap();
@@ -167,11 +194,19 @@ fn state_is_shown() {
         process("shown", &steps, "restart = { times = 1 }"),
         target("all", &["shown"]),
     ]);
-    rig.wait_until("all ready", |rig| rig.ask("ps").contains("\"reached\":true"));
+    rig.wait_until("all ready", |rig| {
+        rig.ask("ps").contains("\"reached\":true")
+    });
     let state: serde_json::Value = serde_json::from_str(&rig.ask("ps")).unwrap();
     let shown = &state["processes"][0];
-    assert_eq!((&state["target"], &shown["state"]), (&"all".into(), &"ready".into()));
-    assert_eq!((&shown["status"], &shown["restarts"]), (&"42 frames".into(), &0.into()));
+    assert_eq!(
+        (&state["target"], &shown["state"]),
+        (&"all".into(), &"ready".into())
+    );
+    assert_eq!(
+        (&shown["status"], &shown["restarts"]),
+        (&"42 frames".into(), &0.into())
+    );
     signal(shown["pid"].as_i64().unwrap() as i32, Signal::KILL);
     rig.wait_until("a restart", |rig| rig.ask("ps").contains("\"restarts\":1"));
     assert_eq!(rig.ask("target x"), "no such run target; there are: all");
@@ -184,8 +219,16 @@ fn state_is_shown() {
 fn what_is_not_granted_is_told() {
     let mut rig = Rig::prepare(&[
         "version = 1\ninitial = \"all\"\n".to_owned(),
-        process("greedy", &["ready", "pause"], "limits = { open-files = 1000 }"),
-        process("modest", &["ready", "pause"], "limits = { open-files = 100 }"),
+        process(
+            "greedy",
+            &["ready", "pause"],
+            "limits = { open-files = 1000 }",
+        ),
+        process(
+            "modest",
+            &["ready", "pause"],
+            "limits = { open-files = 100 }",
+        ),
         target("all", &["greedy", "modest"]),
     ]);
     let mut command = Command::new(std::env::current_exe().unwrap());
@@ -194,10 +237,21 @@ fn what_is_not_granted_is_told() {
         limits: vec![(Resource::Nofile, 200)],
         ..Placement::default()
     };
-    rig.launch_by_spawn(&mut command, |command| Ok(spawn::spawn(command, &placement)?.0));
+    rig.launch_by_spawn(&mut command, |command| {
+        Ok(spawn::spawn(command, &placement)?.0)
+    });
     rig.wait_until("all ready", |rig| !rig.events(&["all ready"]).is_empty());
-    assert_eq!(rig.events(&["greedy: not granted", "a limit"]).len(), 1, "{}", rig.story());
-    assert!(rig.events(&["modest: not granted"]).is_empty(), "{}", rig.story());
+    assert_eq!(
+        rig.events(&["greedy: not granted", "a limit"]).len(),
+        1,
+        "{}",
+        rig.story()
+    );
+    assert!(
+        rig.events(&["modest: not granted"]).is_empty(),
+        "{}",
+        rig.story()
+    );
     rig.stop();
     rig.end();
 }
@@ -221,14 +275,26 @@ fn memory_is_limited() {
         let mut rig = Rig::start(&[
             head(),
             driver(&["to:hungry", "append:reached", "wait:seen"]),
-            process("hungry", &["ready", "wait:reached", step, "append:full", "pause"],
-                "limits = { memory = 33554432 }"),
+            process(
+                "hungry",
+                &["ready", "wait:reached", step, "append:full", "pause"],
+                "limits = { memory = 33554432 }",
+            ),
             tail(),
             target("hungry", &["driver", "hungry"]),
         ]);
-        rig.wait_until("the end of it", |rig| rig.has("fallback-ran") || rig.has("full"));
-        let is_told = !rig.events(&["hungry: not granted", "memory group"]).is_empty();
-        assert_eq!(rig.has("full"), is_shared && is_told, "{step}: {}", rig.story());
+        rig.wait_until("the end of it", |rig| {
+            rig.has("fallback-ran") || rig.has("full")
+        });
+        let is_told = !rig
+            .events(&["hungry: not granted", "memory group"])
+            .is_empty();
+        assert_eq!(
+            rig.has("full"),
+            is_shared && is_told,
+            "{step}: {}",
+            rig.story()
+        );
         std::fs::write(rig.path("seen"), "").unwrap();
         rig.end_well();
     }
