@@ -34,7 +34,7 @@ pub mod process_list;
 pub mod realtime;
 mod segment;
 pub mod services;
-mod spawn;
+pub mod spawn;
 mod stamped_udp;
 pub mod storage;
 pub mod supply;

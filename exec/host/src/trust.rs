@@ -93,6 +93,7 @@ pub enum TrustError {
         /// The part, by its name in the list or its path.
         part: String,
         /// What is wrong with it.
+        #[source]
         reason: Reason,
     },
     /// The anchor cannot be used. Correct it: without an anchor nothing can be checked.

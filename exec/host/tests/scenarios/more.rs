@@ -1,0 +1,3 @@
+//! Further scenarios.
+
+pub(crate) const ALL: &[(&str, fn())] = &[];

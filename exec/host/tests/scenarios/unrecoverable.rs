@@ -1,0 +1,3 @@
+//! The unrecoverable state (E-5).
+
+pub(crate) const ALL: &[(&str, fn())] = &[];
