@@ -6,7 +6,7 @@
 use std::ffi::OsString;
 use std::io::{self, Read as _};
 use std::os::unix::process::CommandExt as _;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ExitStatus, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -50,7 +50,7 @@ impl Companion {
         kind: CompanionKind,
         args: impl IntoIterator<Item = OsString>,
     ) -> anyhow::Result<(Self, u32)> {
-        let process = Command::new("/proc/self/exe")
+        let process = tandem_board_host::this_program()
             .arg0("tandem")
             .arg(kind.command)
             .args(args)

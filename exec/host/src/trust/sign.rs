@@ -70,12 +70,15 @@ fn system_folders() -> Vec<PathBuf> {
     folders.map(PathBuf::from).collect()
 }
 
-/// The parts that were found.
+/// Parts by kind and name. The manifest has no form of a program.
+type Found = BTreeMap<(PartKind, String), (PartEntry, Option<Arc<Part>>)>;
+
+/// Finds parts.
 struct Signer<'f> {
     folder: &'f Path,
     opened: File,
     folders: Vec<PathBuf>,
-    parts: BTreeMap<(PartKind, String), (PartEntry, Option<Arc<Part>>)>,
+    parts: Found,
 }
 
 impl Signer<'_> {
