@@ -24,7 +24,7 @@ struct Extent {
 const SHORT: Extent = Extent {
     ranges: 3,
     every: 61,
-    races: 2,
+    races: 4,
 };
 const FULL: Extent = Extent {
     ranges: 16,
