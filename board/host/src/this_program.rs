@@ -16,15 +16,10 @@ const RUNNING: &str = "/proc/self/exe";
 #[must_use]
 pub fn this_program() -> Command {
     let argv = command_line("self").unwrap_or_default();
-    let mut words = argv.into_iter();
-    match loader_words(words.as_slice()) {
-        0 => Command::new(RUNNING),
-        count => {
-            let mut command = Command::new(words.next().unwrap_or_default());
-            command.args(words.take(count - 1));
-            command
-        }
-    }
+    let of_loader = loader_words(&argv).saturating_sub(1);
+    let mut command = Command::new(RUNNING);
+    command.args(argv.into_iter().skip(1).take(of_loader));
+    command
 }
 
 /// Returns the command line of a process.
@@ -50,7 +45,7 @@ pub(crate) fn loader_words(argv: &[OsString]) -> usize {
     at += usize::from(is(at, "--inhibit-cache"));
     at += 2 * usize::from(is(at, "--preload"));
     let is_copy = |word: &OsString| word.to_string_lossy().starts_with("/proc/self/fd/");
-    match argv.get(at).is_some_and(is_copy) && argv.first().is_some_and(is_copy) {
+    match argv.get(at).is_some_and(is_copy) {
         true => at + 1,
         false => 0,
     }
@@ -70,7 +65,7 @@ mod tests {
         let copy = "/proc/self/fd/";
         assert_eq!(words("tandem __core"), 0);
         assert_eq!(words("tandem --argv0 x y"), 0);
-        assert_eq!(words(&format!("{copy}5 --argv0 tandem {copy}6 __core")), 4);
+        assert_eq!(words(&format!("tandem --argv0 tandem {copy}6 __core")), 4);
         let all = format!("{copy}5 --argv0 tandem --inhibit-cache --preload {copy}7 {copy}6");
         assert_eq!(words(&all), 7);
         assert_eq!(words(&format!("{all} run --argv0 {copy}6")), 7);
