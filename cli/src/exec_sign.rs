@@ -77,3 +77,53 @@ fn signed(args: &SignArgs) -> anyhow::Result<String> {
     )?;
     Ok(text)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+    use std::fs;
+    use std::path::Path;
+    use tandem_exec_host::trust::Platform;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: SignArgs,
+    }
+
+    /// E-4: all programs of a manifest are signed, also those of the safe state, and a changed
+    /// manifest is refused after that.
+    #[test]
+    fn a_signed_platform_is_trusted_until_it_changes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let text = concat!(
+            "version = 1\ninitial = \"drive\"\n",
+            "[safe-state]\nafter = [\"/bin/sh\", \"-c\", \"exit\"]\n",
+            "[[process]]\nname = \"it\"\nprogram = \"it\"\n",
+            "[[target]]\nname = \"drive\"\nprocesses = [\"it\"]\n",
+        );
+        fs::write(path("m.toml"), text).unwrap();
+        fs::copy("/bin/cat", path("it")).unwrap();
+        fs::write(path("key.der"), [&PRIVATE_DER[..], &[4; 32]].concat()).unwrap();
+        let line = ["sign", "--counter", "3", "--key"].map(PathBuf::from);
+        let files = ["key.der", "m.toml"].map(path);
+        let args = Line::parse_from(line.iter().chain(&files)).args;
+        let said = signed(&args).unwrap();
+        let public = said.trim_end().rsplit(' ').next().unwrap();
+        let anchor = format!("mode = \"strict\"\nlowest-counter = 3\nkeys = [\"{public}\"]\n");
+        fs::write(path("anchor.toml"), anchor).unwrap();
+        let open = || Platform::open(&path("m.toml"), Some(&path("anchor.toml")));
+        let platform = open().unwrap();
+        for program in ["it", "/bin/sh"] {
+            assert!(platform.command(Path::new(program)).is_ok(), "{program}");
+        }
+        assert!(platform.command(Path::new("/bin/cat")).is_err());
+        fs::write(path("m.toml"), text.replace("drive", "parks")).unwrap();
+        assert!(open().is_err());
+        fs::write(path("key.der"), [4; 32]).unwrap();
+        let said = signed(&args).unwrap_err().to_string();
+        assert!(said.contains("not an Ed25519 key in DER"), "{said}");
+    }
+}

@@ -15,14 +15,15 @@
 //!
 //! # Limits
 //! - `dlopen`, also the C library's own (name services, character sets), reads files by their path.
-//! - What a program reads is data and not checked: configuration, and scripts in its arguments.
+//! - What a program reads is data and not checked: configuration, and scripts in its arguments. A
+//!   script chooses what it executes.
 //! - Root, and any process that may trace the launcher, can change memory, the anchor and the
 //!   kernel. The anchor itself is the first link: who writes it decides.
 //! - A process of the same user can take the read permission from a copy. Later starts then fail.
 //! - Set-user-id bits and file capabilities have no effect. `ps` shows `N` of the descriptor as the
 //!   name of the process.
 //! - Libraries of the same name but different content cannot be in one list. The loader must be
-//!   glibc's, 2.33 or later.
+//!   glibc's, 2.33 or later, and `/proc` must be mounted where the process starts.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ffi::{OsStr, OsString};
@@ -156,6 +157,11 @@ pub enum Reason {
 }
 
 impl Reason {
+    /// A loader would run whatever its arguments name.
+    fn no_program() -> Self {
+        Self::Form("a loader or a library is no program".into())
+    }
+
     fn of(self, part: impl Into<String>) -> TrustError {
         TrustError::IntegrityOrAuthenticityCheckFailed {
             part: part.into(),
@@ -328,6 +334,7 @@ impl Checked {
     fn start(&self, name: &str, shown: &OsStr, may_be_script: bool) -> Result<Start, TrustError> {
         let program = self.part(PartKind::Program, name)?;
         let elf = match &program.form {
+            Form::Elf(Elf { name: Some(_), .. }) => return Err(Reason::no_program().of(name)),
             Form::Elf(elf) => elf,
             Form::Script {
                 interpreter,
@@ -572,5 +579,6 @@ impl TrustedCommand {
 }
 
 fn is_forbidden(name: &str) -> bool {
-    name.starts_with("LD_") || name.starts_with("BASH_FUNC_") || FORBIDDEN.contains(&name)
+    // `NAME=` would be a variable of the shorter name.
+    name.contains('=') || name.starts_with("LD_") || name.starts_with("BASH_FUNC_") || FORBIDDEN.contains(&name)
 }

@@ -6,7 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::form::Form;
+use super::form::{Elf, Form};
 use super::list::{List, hex};
 use super::{Part, PartEntry, PartKind, Reason, TrustError, libraries};
 
@@ -131,6 +131,7 @@ impl Signer<'_> {
         let program = self.add(PartKind::Program, name, Path::new(name))?;
         let wrong = |why: &str| Reason::Form(why.to_owned()).of(name);
         let elf = match &program.form {
+            Form::Elf(Elf { name: Some(_), .. }) => return Err(Reason::no_program().of(name)),
             Form::Elf(elf) => elf,
             Form::Script { interpreter, .. } if may_be_script => {
                 return self.add_program(interpreter, false);

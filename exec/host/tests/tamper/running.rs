@@ -97,6 +97,7 @@ fn no_variable_brings_other_code() {
         "GCONV_PATH",
         "BASH_ENV",
         "PYTHONPATH",
+        "GCONV_PATH=evil:",
     ] {
         let refused = command
             .set(name, OsStr::new("evil"))
@@ -239,12 +240,33 @@ fn openssl_makes_and_verifies_signatures() {
     );
 }
 
+/// Returns the loader of this program.
+fn parts_loader() -> PathBuf {
+    let maps = fs::read_to_string("/proc/self/maps").unwrap();
+    let paths = maps
+        .lines()
+        .filter_map(|line| line.find('/').map(|at| &line[at..]));
+    paths
+        .filter(|path| path.contains("/ld-"))
+        .last()
+        .expect("a loader")
+        .into()
+}
+
 /// E-4: the system's own programs are found with all their libraries, and run.
 #[test]
 fn programs_of_the_system_run() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     fs::write(path("m.toml"), "").unwrap();
+    // A loader would start whatever its arguments name, and `env` what the search path names.
+    fs::write(path("script"), "#!/usr/bin/env sh\n").unwrap();
+    for no_program in [parts_loader(), path("script")] {
+        let refused = sign(&path("m.toml"), &[no_program], 0, 0, |bytes| {
+            KEY.sign(bytes)
+        });
+        assert!(refused.is_err(), "{refused:?}");
+    }
     let programs = ["/bin/sh", "/usr/bin/openssl"].map(PathBuf::from);
     let parts = sign(&path("m.toml"), &programs, 0, 0, |bytes| KEY.sign(bytes)).unwrap();
     assert!(
