@@ -300,7 +300,7 @@ enum Campaign {
         #[arg(long, value_name = "FILE")]
         json: Option<PathBuf>,
     },
-    /// Damage each part of a signed platform, and replace each part between its check and its start.
+    /// Damage each part of a signed platform, and replace each part between check and start.
     /// Fails if a process runs what was not signed. Prints what a check costs
     Tamper {
         /// Write {cases, accepted} to this file

@@ -3,8 +3,8 @@
 use std::fs::File;
 use std::os::unix::fs::FileExt as _;
 
-/// An ELF file of a later format has more; the loader of Linux takes no more than 64 KiB of headers.
-const MAX_HEADERS: u64 = 1024;
+/// Linux takes no more than 64 KiB of program headers, which is 1,170.
+const MAX_HEADERS: u64 = 1170;
 const MAX_NEEDED: usize = 1024;
 /// The kernel reads this much of a script's first line.
 const LINE_BYTES: usize = 256;

@@ -16,8 +16,8 @@ const FOLDERS: [&str; 4] = ["/lib64", "/usr/lib64", "/lib", "/usr/lib"];
 const CONFIGURATION: &str = "/etc/ld.so.conf.d";
 
 /// Signs a platform: the manifest, its programs, and what these need. Writes the list beside the
-/// manifest and returns its parts. `programs` are as the manifest names them, and `key` is the number
-/// of the key in the anchor.
+/// manifest and returns its parts. `programs` are as the manifest names them, and `key` is the
+/// number of the key in the anchor.
 ///
 /// # Errors
 /// If a part cannot be read or found, or could not start from checked bytes.

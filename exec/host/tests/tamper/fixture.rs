@@ -1,4 +1,4 @@
-//! A platform of real programs with a loader, libraries and a C library of its own, and damages to it.
+//! A platform of real programs with a loader and libraries of its own, and another build of each.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, Permissions};

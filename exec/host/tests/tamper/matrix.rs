@@ -196,7 +196,7 @@ impl Matrix<'_> {
         }
     }
 
-    /// Replaced at three moments, and all the time: the program runs as it was signed, or is refused.
+    /// Replaced at three moments, and all the time: the program is refused or runs as signed.
     fn replaced(&mut self, file: &str, program: &str, races: usize) {
         let fixture = self.fixture;
         let evil = &fixture.evil[file];
