@@ -2,7 +2,6 @@
 
 use std::os::unix::net::UnixStream;
 use std::path::Path;
-use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -15,6 +14,7 @@ use tandem_exec_host::launcher::{
 use tandem_exec_host::manifest::Manifest;
 
 use crate::args::{ExecArgs, ExecCommand, ExecRunArgs, ManifestArgs};
+use crate::exec_sign;
 use crate::failure::Failure;
 
 /// Runs a subcommand.
@@ -33,6 +33,7 @@ pub fn run(args: &ExecArgs) -> Result<(), Failure> {
                 why => Err(Failure::Run(anyhow!("{why}"))),
             }
         }
+        ExecCommand::Sign(args) => exec_sign::run(args),
         ExecCommand::Launcher(args) => launch(args),
     }
 }
@@ -49,7 +50,7 @@ fn signals(of: &[i32]) -> anyhow::Result<UnixStream> {
 
 fn guard(args: &ExecRunArgs) -> Result<(), Failure> {
     let of = &args.of;
-    let mut command = Command::new("/proc/self/exe");
+    let mut command = tandem_board_host::this_program();
     command.args(["exec", "launcher"]).arg(&of.manifest);
     command.args(
         of.anchor

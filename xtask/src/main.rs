@@ -300,6 +300,13 @@ enum Campaign {
         #[arg(long, value_name = "FILE")]
         json: Option<PathBuf>,
     },
+    /// Damage each part of a signed platform, and replace each part between check and start.
+    /// Fails if a process runs what was not signed. Prints what a check costs
+    Tamper {
+        /// Write {cases, accepted} to this file
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
     /// Compare the tick of FreeRTOS, and the periods of three tasks, with the clock
     RtosDrift {
         /// How long, in seconds
@@ -474,6 +481,18 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
                 let json =
                     std::path::absolute(&json).with_context(|| json.display().to_string())?;
                 command.env("TANDEM_TIME_JSON", json);
+            }
+            command
+        }
+        Campaign::Tamper { json } => {
+            let name = "every_changed_part_is_refused";
+            let mut command = test("tandem-exec-host", "tamper", name, &[]);
+            command.arg("--ignored");
+            if let Some(json) = json {
+                // The test runs in the folder of its package.
+                let json =
+                    std::path::absolute(&json).with_context(|| json.display().to_string())?;
+                command.env("TANDEM_TAMPER_JSON", json);
             }
             command
         }

@@ -80,6 +80,9 @@ pub struct Placement {
     pub gid: Option<u32>,
     /// Its supplementary groups.
     pub groups: Option<Vec<u32>>,
+    /// It inherits all descriptors without close-on-exec, also those that the caller has inherited
+    /// itself; otherwise the standard streams and `keep` only.
+    pub inherit_all: bool,
     /// Descriptors that it inherits, beside the standard streams.
     pub keep: Vec<Arc<OwnedFd>>,
     /// `cgroup.procs` of the control groups that it joins, open for writing.
@@ -146,6 +149,7 @@ struct Prepared {
     groups: Option<Vec<Gid>>,
     keep: Vec<Arc<OwnedFd>>,
     join: Vec<Arc<OwnedFd>>,
+    inherit_all: bool,
     when_caller_ends: Option<(Signal, Pid)>,
 }
 
@@ -177,6 +181,7 @@ impl Prepared {
             groups: groups.map(|all| all.into_iter().map(Gid::from_raw).collect()),
             keep: placement.keep.clone(),
             join: placement.join.clone(),
+            inherit_all: placement.inherit_all,
             when_caller_ends: placement.when_caller_ends.map(|it| (it, getpid())),
         }
     }
@@ -223,7 +228,9 @@ impl Prepared {
         if let Some((signal, caller)) = self.when_caller_ends {
             bind(signal, caller)?;
         }
-        close_others_at_exec();
+        if !self.inherit_all {
+            close_others_at_exec();
+        }
         for fd in &self.keep {
             fcntl_setfd(fd, FdFlags::empty())?;
         }

@@ -284,6 +284,12 @@ impl Shell<'_> {
                 .map_err(|error| system("subreaper")(error.into()))?;
             guard.begin(&self.manifest.safe_state, &self.group);
         }
+        if let Some(warning) = self.children.warning() {
+            self.tell(LaunchEvent::NotGranted {
+                process: "manifest".to_owned(),
+                what: warning,
+            });
+        }
         self.inputs.push_back(Input::Switch(self.initial));
         loop {
             self.work()?;

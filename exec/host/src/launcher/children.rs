@@ -47,7 +47,7 @@ struct Running {
 }
 
 /// A process that was started: its id, and what was not granted. Or why it was not started.
-type Start = Result<(u32, Vec<&'static str>), String>;
+type Start = Result<(u32, Vec<String>), String>;
 
 impl Children {
     pub(super) fn new(
@@ -70,6 +70,11 @@ impl Children {
         }
     }
 
+    /// Returns what is wrong with the manifest or the list of parts, in monitor mode.
+    pub(super) fn warning(&self) -> Option<String> {
+        self.platform.warning().map(ToString::to_string)
+    }
+
     /// Starts a process. A refusal of the program is an error of the process; an operating system
     /// that has no process or descriptor left is unrecoverable.
     pub(super) fn start(&mut self, at: usize) -> Result<Start, Unrecoverable> {
@@ -77,28 +82,28 @@ impl Children {
         let Some(plan) = manifest.processes.get(at) else {
             return Ok(Err("no such process".to_owned()));
         };
-        let trusted = match self.platform.command(&plan.program) {
+        let mut trusted = match self.platform.command(&plan.program) {
             Ok(trusted) => trusted,
             Err(error) => return refused(&error, error.to_string()),
         };
+        trusted.command.args(&plan.arguments).env_clear();
+        for (name, value) in self.environment(plan) {
+            if let Err(error) = trusted.set(&name, value.as_ref()) {
+                return refused(&error, error.to_string());
+            }
+        }
+        let mut refusals = vec![];
+        refusals.extend(trusted.warning.map(|warning| warning.to_string()));
         let mut command = trusted.command;
-        command.args(&plan.arguments).env_clear().env("PATH", PATH);
-        if plan.reports() {
-            command.env(NOTIFY_SOCKET, format!("@{}", self.names.notify));
-        }
-        if plan.state_management {
-            command.env(CONTROL_SOCKET, format!("@{}", self.names.control));
-        }
-        command.envs(&plan.environment).env(MARK, plan.name());
         command.current_dir(self.folder.join(&plan.directory));
         command.stdin(Stdio::null());
         let mut placement = placement(plan);
         placement.keep = trusted.keep;
         placement.when_caller_ends = (!self.guarded).then_some(Signal::TERM);
+        placement.inherit_all = !self.guarded;
         if let Err(error) = self.set_output(plan, &mut command) {
             return refused(&error, format!("its output: {error}"));
         }
-        let mut refusals = vec![];
         if let Some(bytes) = plan.limits.memory {
             match self
                 .memory
@@ -106,7 +111,7 @@ impl Children {
                 .map(|groups| groups.make(plan.name(), bytes))
             {
                 Some(Ok(group)) => placement.join.push(Arc::new(group)),
-                _ => refusals.push(NO_MEMORY_GROUP),
+                _ => refusals.push(NO_MEMORY_GROUP.to_owned()),
             }
         }
         let (child, wishes) = match spawn::spawn(&mut command, &placement) {
@@ -123,8 +128,23 @@ impl Children {
         if let Some(place) = self.running.get_mut(at) {
             *place = Some(Running { child, watched });
         }
-        refusals.extend(wishes.into_iter().map(in_words));
+        refusals.extend(wishes.into_iter().map(|wish| in_words(wish).to_owned()));
         Ok(Ok((pid, refusals)))
+    }
+
+    /// Returns the environment of a process; later variables replace earlier ones.
+    fn environment(&self, plan: &ProcessPlan) -> Vec<(String, String)> {
+        let mut all = vec![("PATH".to_owned(), PATH.to_owned())];
+        if plan.reports() {
+            all.push((NOTIFY_SOCKET.to_owned(), format!("@{}", self.names.notify)));
+        }
+        if plan.state_management {
+            all.push((CONTROL_SOCKET.to_owned(), format!("@{}", self.names.control)));
+        }
+        let own = plan.environment.iter();
+        all.extend(own.map(|(name, value)| (name.clone(), value.clone())));
+        all.push((MARK.to_owned(), plan.name().to_owned()));
+        all
     }
 
     /// Leads standard output and standard error to the file of the manifest.
@@ -281,6 +301,7 @@ fn placement(plan: &ProcessPlan) -> Placement {
         groups: plan.groups.clone(),
         keep: vec![],
         join: vec![],
+        inherit_all: false,
         when_caller_ends: None,
     }
 }
