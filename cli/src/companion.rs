@@ -106,8 +106,13 @@ fn manifest(
     said: &Path,
     args: impl IntoIterator<Item = OsString>,
 ) -> anyhow::Result<String> {
-    let words = std::iter::once(OsString::from(kind.command)).chain(args);
-    let words = words.map(OsString::into_string).collect::<Result<Vec<_>, _>>();
+    let this = tandem_board_host::this_program();
+    let program = this.get_program().to_string_lossy().into_owned();
+    let words = this.get_args().map(ToOwned::to_owned);
+    let words = words.chain([OsString::from(kind.command)]).chain(args);
+    let words = words
+        .map(OsString::into_string)
+        .collect::<Result<Vec<_>, _>>();
     let words = words.map_err(|word| anyhow!("{}: not UTF-8", word.display()))?;
     let environment = std::env::vars_os().filter_map(|(name, value)| {
         let pair = (name.into_string().ok()?, value.into_string().ok()?);
@@ -119,7 +124,7 @@ fn manifest(
         "initial": "run",
         "process": [{
             "name": kind.command,
-            "program": "/proc/self/exe",
+            "program": program,
             "arguments": words,
             "environment": environment,
             "directory": std::env::current_dir().context("the current folder")?,

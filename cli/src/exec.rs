@@ -2,7 +2,6 @@
 
 use std::os::unix::net::UnixStream;
 use std::path::Path;
-use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -15,6 +14,7 @@ use tandem_exec_host::launcher::{
 use tandem_exec_host::manifest::Manifest;
 
 use crate::args::{ExecArgs, ExecCommand, ExecRunArgs, ManifestArgs};
+use crate::exec_sign;
 use crate::failure::Failure;
 
 /// Runs a subcommand.
@@ -33,6 +33,7 @@ pub fn run(args: &ExecArgs) -> Result<(), Failure> {
                 why => Err(Failure::Run(anyhow!("{why}"))),
             }
         }
+        ExecCommand::Sign(args) => exec_sign::run(args),
         ExecCommand::Launcher(args) => launch(args),
     }
 }
@@ -49,9 +50,13 @@ fn signals(of: &[i32]) -> anyhow::Result<UnixStream> {
 
 fn guard(args: &ExecRunArgs) -> Result<(), Failure> {
     let of = &args.of;
-    let mut command = Command::new("/proc/self/exe");
+    let mut command = tandem_board_host::this_program();
     command.args(["exec", "launcher"]).arg(&of.manifest);
-    command.args(of.anchor.iter().flat_map(|it| ["--anchor".as_ref(), it.as_os_str()]));
+    command.args(
+        of.anchor
+            .iter()
+            .flat_map(|it| ["--anchor".as_ref(), it.as_os_str()]),
+    );
     command.args(of.json.then_some("--json"));
     let words = |text: &Option<String>| {
         let text = text.as_deref().unwrap_or_default();
@@ -78,7 +83,9 @@ fn guard(args: &ExecRunArgs) -> Result<(), Failure> {
         }
         GuardEnd::CleanedUp(why, failed) => {
             let failed = failed.join("; ");
-            Err(Failure::Run(anyhow!("{why}; the clean-up failed in parts: {failed}")))
+            Err(Failure::Run(anyhow!(
+                "{why}; the clean-up failed in parts: {failed}"
+            )))
         }
     }
 }
@@ -127,7 +134,11 @@ fn check(args: &ManifestArgs) -> Result<(), Failure> {
             (false, true) => "fallback",
             (false, false) => "",
         };
-        vec![target.name().to_owned(), what.to_owned(), names(target.members())]
+        vec![
+            target.name().to_owned(),
+            what.to_owned(),
+            names(target.members()),
+        ]
     });
     let targets: Vec<_> = targets.collect();
     text += &table(&["run target", "", "processes"], &targets);
@@ -165,13 +176,25 @@ fn ps(args: &ManifestArgs) -> Result<(), Failure> {
     let state: State = serde_json::from_str(&answer).context("the launcher's answer")?;
     let rows = state.processes.into_iter().map(|it| {
         let pid = it.pid.map_or_else(String::new, |pid| pid.to_string());
-        vec![it.process, it.state, pid, it.restarts.to_string(), it.status]
+        vec![
+            it.process,
+            it.state,
+            pid,
+            it.restarts.to_string(),
+            it.status,
+        ]
     });
     let rows: Vec<_> = rows.collect();
     let target = state.target.unwrap_or_else(|| "none".to_owned());
-    let reached = if state.reached { "all ready" } else { "not reached yet" };
+    let reached = if state.reached {
+        "all ready"
+    } else {
+        "not reached yet"
+    };
     let table = table(&["process", "state", "pid", "restarts", "status"], &rows);
-    Ok(crate::print(&format!("run target {target}: {reached}\n\n{table}"))?)
+    Ok(crate::print(&format!(
+        "run target {target}: {reached}\n\n{table}"
+    ))?)
 }
 
 /// Returns a table with columns as wide as their texts.
@@ -184,7 +207,10 @@ fn table(head: &[&str], rows: &[Vec<String>]) -> String {
     };
     let widths: Vec<usize> = (0..head.len()).map(width).collect();
     let line = |row: &Vec<String>| {
-        let cells = row.iter().zip(&widths).map(|(text, width)| format!("{text:width$}"));
+        let cells = row
+            .iter()
+            .zip(&widths)
+            .map(|(text, width)| format!("{text:width$}"));
         let line = cells.collect::<Vec<_>>().join("  ");
         line.trim_end().to_owned() + "\n"
     };
@@ -197,7 +223,10 @@ mod tests {
 
     #[test]
     fn columns_are_as_wide_as_their_texts() {
-        let rows = [vec!["a".to_owned(), "longer".to_owned()], vec!["bc".to_owned()]];
+        let rows = [
+            vec!["a".to_owned(), "longer".to_owned()],
+            vec!["bc".to_owned()],
+        ];
         assert_eq!(table(&["x", "y"], &rows), "x   y\na   longer\nbc\n");
     }
 }

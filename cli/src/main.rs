@@ -10,7 +10,8 @@ use tandem::beside::{Program, become_program};
 use tandem::board_kind::{BoardKind, DemoBoard};
 use tandem::failure::Failure;
 use tandem::{
-    boot_demo, clock_view, dflash, exec, grandmaster, injection, print, ps, publish, run, soc, topics,
+    boot_demo, clock_view, dflash, exec, grandmaster, injection, print, ps, publish, run, soc,
+    topics,
 };
 
 fn main() -> ExitCode {

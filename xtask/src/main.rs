@@ -320,6 +320,13 @@ enum Campaign {
         #[arg(long, default_value_t = 60)]
         seconds: u32,
     },
+    /// Damage each part of a signed platform, and replace each part between check and start.
+    /// Fails if a process runs what was not signed. Prints what a check costs
+    Tamper {
+        /// Write {cases, accepted} to this file
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
     /// Compare the tick of FreeRTOS, and the periods of three tasks, with the clock
     RtosDrift {
         /// How long, in seconds
@@ -499,7 +506,12 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
         }
         Campaign::Launch { count, seed, json } => {
             let name = "random_kills_leave_nothing_behind";
-            let mut command = test("tandem-exec-host", "kills", name, &[("TANDEM_KILLS", count)]);
+            let mut command = test(
+                "tandem-exec-host",
+                "kills",
+                name,
+                &[("TANDEM_KILLS", count)],
+            );
             command.envs(seed.map(|seed| ("TANDEM_KILLS_SEED", seed.to_string())));
             if let Some(json) = json {
                 // The test runs in the folder of its package.
@@ -512,6 +524,18 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
         Campaign::Activations { seconds } => {
             let mut command = trial("activation", &[])?;
             command.args(["overruns", &seconds.to_string()]);
+            command
+        }
+        Campaign::Tamper { json } => {
+            let name = "every_changed_part_is_refused";
+            let mut command = test("tandem-exec-host", "tamper", name, &[]);
+            command.arg("--ignored");
+            if let Some(json) = json {
+                // The test runs in the folder of its package.
+                let json =
+                    std::path::absolute(&json).with_context(|| json.display().to_string())?;
+                command.env("TANDEM_TAMPER_JSON", json);
+            }
             command
         }
         Campaign::WrongInBoth => trial("wrong_in_both", &[])?,

@@ -1,14 +1,13 @@
 //! Finds the processes of the runs on this machine in `/proc`.
 
 use core::fmt;
-use std::ffi::OsString;
 use std::fs;
-use std::os::unix::ffi::OsStringExt;
 
 use tandem_board::{CoreId, Generation, RoleLamp, SystemId};
 
 use crate::args::ProcessArgs;
 use crate::name::RunName;
+use crate::this_program::{command_line, loader_words};
 
 /// Kind of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -138,12 +137,9 @@ pub(crate) fn process_of(name: Option<&str>) -> Result<Process, RunError> {
 }
 
 fn look_at(pid: u32) -> Option<Process> {
-    let argv = fs::read(format!("/proc/{pid}/cmdline")).ok()?;
-    let argv = argv
-        .strip_suffix(b"\0")
-        .unwrap_or(&argv)
-        .split(|byte| *byte == 0);
-    let argv = argv.skip(1).map(|arg| OsString::from_vec(arg.to_vec()));
+    let argv = command_line(&pid.to_string())?;
+    let own = loader_words(&argv).max(1);
+    let argv = argv.into_iter().skip(own);
     let args = ProcessArgs::parse(argv)?.ok()?;
     let (state, cpu) = state_and_cpu(&fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)?;
     if state == "Z" || state == "X" {

@@ -80,8 +80,13 @@ pub struct Placement {
     pub gid: Option<u32>,
     /// Its supplementary groups.
     pub groups: Option<Vec<u32>>,
+    /// It inherits all descriptors without close-on-exec, also those that the caller has inherited
+    /// itself; otherwise the standard streams and `keep` only.
+    pub inherit_all: bool,
     /// Descriptors that it inherits, beside the standard streams.
     pub keep: Vec<Arc<OwnedFd>>,
+    /// `cgroup.procs` of the control groups that it joins, open for writing.
+    pub join: Vec<Arc<OwnedFd>>,
     /// The signal that it gets when the calling thread has ended, in any way.
     pub when_caller_ends: Option<Signal>,
 }
@@ -104,10 +109,12 @@ pub enum Wish {
     Scheduling,
     /// A limit.
     Limit,
+    /// A control group.
+    Group,
 }
 
 impl Wish {
-    const ALL: [Self; 3] = [Self::Cpus, Self::Scheduling, Self::Limit];
+    const ALL: [Self; 4] = [Self::Cpus, Self::Scheduling, Self::Limit, Self::Group];
 }
 
 /// Starts a process in a process group of its own, with this placement. It can outlive the caller.
@@ -141,6 +148,8 @@ struct Prepared {
     gid: Option<Gid>,
     groups: Option<Vec<Gid>>,
     keep: Vec<Arc<OwnedFd>>,
+    join: Vec<Arc<OwnedFd>>,
+    inherit_all: bool,
     when_caller_ends: Option<(Signal, Pid)>,
 }
 
@@ -171,6 +180,8 @@ impl Prepared {
             gid: placement.gid.map(Gid::from_raw),
             groups: groups.map(|all| all.into_iter().map(Gid::from_raw).collect()),
             keep: placement.keep.clone(),
+            join: placement.join.clone(),
+            inherit_all: placement.inherit_all,
             when_caller_ends: placement.when_caller_ends.map(|it| (it, getpid())),
         }
     }
@@ -181,6 +192,14 @@ impl Prepared {
             // A full pipe cannot be: there are fewer wishes than it has room.
             let _ = rustix::io::write(tell, &[wish as u8]);
         };
+        // Process 0 is the one that writes.
+        if self
+            .join
+            .iter()
+            .any(|group| rustix::io::write(group, b"0").is_err())
+        {
+            refuse(Wish::Group);
+        }
         if let Some(cpus) = &self.cpus
             && sched_setaffinity(None, cpus).is_err()
         {
@@ -209,7 +228,9 @@ impl Prepared {
         if let Some((signal, caller)) = self.when_caller_ends {
             bind(signal, caller)?;
         }
-        close_others_at_exec();
+        if !self.inherit_all {
+            close_others_at_exec();
+        }
         for fd in &self.keep {
             fcntl_setfd(fd, FdFlags::empty())?;
         }

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
+use crate::exec_sign::SignArgs;
+
 const EXEC_EXAMPLES: &str = "\
 A manifest, platform.toml:
   version = 1
@@ -36,6 +38,7 @@ Examples:
   tandem exec run platform.toml      runs it until Ctrl-C, or until nothing is left to run
   tandem exec ps platform.toml       in another terminal: what runs, and in which state
   tandem exec target platform.toml limp
+  tandem exec sign platform.toml --key key.der      then run it with --anchor anchor.toml
 
 docs/execution.md describes every key, and what happens when a process or the launcher fails.
 
@@ -62,6 +65,8 @@ pub enum ExecCommand {
     Ps(ManifestArgs),
     /// Switch to another run target, and wait until all of it is ready
     Target(ExecTargetArgs),
+    /// Sign the manifest, its programs and all that these need, for an anchor
+    Sign(SignArgs),
     /// Launch; the guardian of `tandem exec run` starts this
     #[command(hide = true)]
     Launcher(ManifestArgs),

@@ -47,6 +47,9 @@ pub use guardian::{GIVES_UP, GuardEnd, GuardPlan, Guardian, NOTHING_STARTED};
 /// The longest time between two looks at the guardian, and at processes that were left.
 const LOOK_AGAIN: Duration = Duration::from_ms(500);
 
+/// The most reports between two looks at all else: a process that floods must not hold it up.
+const MOST_AT_ONCE: usize = 256;
+
 /// Why a manifest cannot be run. Nothing was started.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
@@ -136,7 +139,11 @@ impl SocketNames {
     fn of(path: &Path) -> Self {
         use std::os::unix::ffi::OsStrExt as _;
         let digest = Sha256::digest(path.as_os_str().as_bytes());
-        let digest: String = digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+        let digest: String = digest
+            .iter()
+            .take(8)
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
         Self {
             notify: format!("tandem-exec-{digest}-notify"),
             control: format!("tandem-exec-{digest}-control"),
@@ -201,8 +208,7 @@ impl ProcessLauncher {
     ) -> Result<(), Unrecoverable> {
         stops.set_nonblocking(true).map_err(system("signals"))?;
         let manifest = Arc::clone(&self.manifest);
-        let children =
-            Children::new(manifest, self.platform, self.folder, &self.names, guarded);
+        let children = Children::new(manifest, self.platform, self.folder, &self.names, guarded);
         let mut shell = Shell {
             supervisor: Supervisor::new(self.manifest.clone()),
             initial: self.manifest.initial(),
@@ -274,8 +280,15 @@ struct Shell<'a> {
 impl Shell<'_> {
     fn run(&mut self) -> Result<(), Unrecoverable> {
         if let Some(guard) = &mut self.guard {
-            set_child_subreaper(Some(getpid())).map_err(|error| system("subreaper")(error.into()))?;
+            set_child_subreaper(Some(getpid()))
+                .map_err(|error| system("subreaper")(error.into()))?;
             guard.begin(&self.manifest.safe_state, &self.group);
+        }
+        if let Some(warning) = self.children.warning() {
+            self.tell(LaunchEvent::NotGranted {
+                process: "manifest".to_owned(),
+                what: warning,
+            });
         }
         self.inputs.push_back(Input::Switch(self.initial));
         loop {
@@ -310,9 +323,15 @@ impl Shell<'_> {
         match action {
             Action::Start(at) => match self.children.start(at)? {
                 Ok((pid, refused)) => {
-                    self.tell(LaunchEvent::Started { process: self.name(at), pid });
+                    self.tell(LaunchEvent::Started {
+                        process: self.name(at),
+                        pid,
+                    });
                     for what in refused {
-                        self.tell(LaunchEvent::NotGranted { process: self.name(at), what });
+                        self.tell(LaunchEvent::NotGranted {
+                            process: self.name(at),
+                            what,
+                        });
                     }
                     self.inputs.push_back(Input::Started(at));
                 }
@@ -328,7 +347,9 @@ impl Shell<'_> {
 
     fn notice(&mut self, notice: Notice) {
         let event = match notice {
-            Notice::Ready(at) => LaunchEvent::Ready { process: self.name(at) },
+            Notice::Ready(at) => LaunchEvent::Ready {
+                process: self.name(at),
+            },
             Notice::Failed(at, why, recovery) => {
                 let next = match recovery {
                     Recovery::Restart(number) => format!("restart {number}"),
@@ -339,22 +360,36 @@ impl Shell<'_> {
                 let why = why.to_string();
                 if matches!(recovery, Recovery::Fallback | Recovery::SafeState) {
                     let answer = format!("{} has failed: {why}", self.name(at));
-                    self.waiting.drain(..).for_each(|(_, request)| request.answer(&answer));
+                    self.waiting
+                        .drain(..)
+                        .for_each(|(_, request)| request.answer(&answer));
                 }
-                LaunchEvent::Failed { process: self.name(at), why, next }
+                LaunchEvent::Failed {
+                    process: self.name(at),
+                    why,
+                    next,
+                }
             }
             Notice::Switching(to) => {
                 let superseded = |(target, _): &(usize, Request)| *target != to;
                 let others: Vec<_> = self.waiting.extract_if(.., |it| superseded(it)).collect();
                 let answer = "another run target was asked for since";
-                others.into_iter().for_each(|(_, request)| request.answer(answer));
-                LaunchEvent::Switching { target: self.target_name(to) }
+                others
+                    .into_iter()
+                    .for_each(|(_, request)| request.answer(answer));
+                LaunchEvent::Switching {
+                    target: self.target_name(to),
+                }
             }
             Notice::Reached(target) => {
                 // A request for another one may have arrived since.
                 let reached: Vec<_> = self.waiting.extract_if(.., |it| it.0 == target).collect();
-                reached.into_iter().for_each(|(_, request)| request.answer("ok"));
-                LaunchEvent::Reached { target: self.target_name(target) }
+                reached
+                    .into_iter()
+                    .for_each(|(_, request)| request.answer("ok"));
+                LaunchEvent::Reached {
+                    target: self.target_name(target),
+                }
             }
         };
         self.tell(event);
@@ -363,8 +398,12 @@ impl Shell<'_> {
     /// Waits until something happens, and notes it.
     fn wait(&mut self) -> Result<(), Unrecoverable> {
         let now = clock::now();
-        let look_again = now + LOOK_AGAIN;
-        let until = self.supervisor.next_tick(now).map_or(look_again, |it| it.min(look_again));
+        let watchdog = Duration::from_ns(self.manifest.safe_state.watchdog.as_ns() / 4);
+        let look_again = now + LOOK_AGAIN.min(watchdog);
+        let until = self
+            .supervisor
+            .next_tick(now)
+            .map_or(look_again, |it| it.min(look_again));
         let span = until.since(now).as_ns();
         let span = Timespec {
             tv_sec: (span / 1_000_000_000) as i64,
@@ -373,8 +412,13 @@ impl Shell<'_> {
         let fixed = [self.notify.as_fd(), self.stops.as_fd()];
         let guard = self.guard.as_ref().map(|it| it.fd());
         let fds: Vec<BorrowedFd<'_>> = fixed.into_iter().chain(guard).collect();
-        let fds = fds.into_iter().chain(self.control.fds()).chain(self.children.fds());
-        let mut fds: Vec<_> = fds.map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN)).collect();
+        let fds = fds
+            .into_iter()
+            .chain(self.control.fds())
+            .chain(self.children.fds());
+        let mut fds: Vec<_> = fds
+            .map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN))
+            .collect();
         match poll(&mut fds, Some(&span)) {
             Ok(_) | Err(Errno::INTR) => {}
             Err(error) => return Err(system("poll")(error.into())),
@@ -385,7 +429,10 @@ impl Shell<'_> {
 
     fn hear(&mut self) -> Result<(), Unrecoverable> {
         // Reports first: a process that reports and ends has reported.
-        while let Some((pid, datagram)) = self.notify.receive(clock::now()) {
+        for _ in 0..MOST_AT_ONCE {
+            let Some((pid, datagram)) = self.notify.receive(clock::now()) else {
+                break;
+            };
             let Some(at) = self.children.reporter(pid) else {
                 continue;
             };
@@ -393,10 +440,12 @@ impl Shell<'_> {
                 self.children.set_status(at, status);
             }
             let reports = datagram.reports.into_iter();
-            self.inputs.extend(reports.map(|report| Input::Report(at, report)));
+            self.inputs
+                .extend(reports.map(|report| Input::Report(at, report)));
         }
         let ended = self.children.take_ended();
-        self.inputs.extend(ended.into_iter().map(|(at, how)| Input::Ended(at, how)));
+        self.inputs
+            .extend(ended.into_iter().map(|(at, how)| Input::Ended(at, how)));
         for request in self.control.take().map_err(system("the control socket"))? {
             self.answer(request);
         }
@@ -412,11 +461,8 @@ impl Shell<'_> {
         if let Some(guard) = &mut self.guard
             && !guard.kick()
         {
-            let clean_up = AloneCleanUp::of(
-                &self.manifest.safe_state,
-                self.files.clone(),
-                &self.group,
-            );
+            let clean_up =
+                AloneCleanUp::of(&self.manifest.safe_state, self.files.clone(), &self.group);
             return Err(Unrecoverable::NoGuardian(clean_up));
         }
         self.inputs.push_back(Input::Tick);
@@ -424,7 +470,10 @@ impl Shell<'_> {
     }
 
     fn answer(&mut self, request: Request) {
-        let known = request.text.split_once(' ').map_or((request.text.as_str(), ""), |it| it);
+        let known = request
+            .text
+            .split_once(' ')
+            .map_or((request.text.as_str(), ""), |it| it);
         match known {
             ("ps", "") => {
                 let rows = self.rows();

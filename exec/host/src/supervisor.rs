@@ -156,11 +156,18 @@ impl fmt::Display for ExitKind {
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum UnitState {
     Off,
-    Starting { until: Instant },
+    Starting {
+        until: Instant,
+    },
     Ready,
     Finished,
-    Ending { until: Instant, failed: Option<ProcessFailure> },
-    Pausing { until: Instant },
+    Ending {
+        until: Instant,
+        failed: Option<ProcessFailure>,
+    },
+    Pausing {
+        until: Instant,
+    },
     Failed,
 }
 
@@ -376,7 +383,10 @@ impl Supervisor {
         };
         match core::mem::replace(&mut unit.state, UnitState::Off) {
             UnitState::Ending { failed: None, .. } => {}
-            UnitState::Ending { failed: Some(failure), .. } => {
+            UnitState::Ending {
+                failed: Some(failure),
+                ..
+            } => {
                 self.recover(now, at, failure, actions);
             }
             UnitState::Starting { .. } | UnitState::Ready
@@ -504,7 +514,10 @@ impl Supervisor {
                 let until = now + self.manifest.processes[*at].stop_within;
                 let unit = &mut self.units[*at];
                 unit.monitor = None;
-                unit.state = UnitState::Ending { until, failed: None };
+                unit.state = UnitState::Ending {
+                    until,
+                    failed: None,
+                };
                 actions.push(Action::Terminate(*at));
             }
         }
@@ -518,7 +531,8 @@ impl Supervisor {
         for at in &members {
             self.start_if_due(now, *at, actions);
         }
-        let is = |test: fn(&UnitState) -> bool| members.iter().all(|at| test(&self.units[*at].state));
+        let is =
+            |test: fn(&UnitState) -> bool| members.iter().all(|at| test(&self.units[*at].state));
         if !self.is_reached && is(UnitState::is_ready) {
             self.is_reached = true;
             actions.push(Action::Tell(Notice::Reached(target)));

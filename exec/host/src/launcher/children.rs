@@ -14,6 +14,7 @@ use rustix::process::{Resource, Signal, kill_process_group};
 use tandem_board_host::spawn::{self, Placement, RealtimePolicy, Watched, Wish};
 
 use super::descendants::{self, MARK};
+use super::group::MemoryGroups;
 use super::{SocketNames, Unrecoverable, system};
 use crate::manifest::{Manifest, ProcessPlan, ResourceLimits, SchedulingPolicy};
 use crate::report::{CONTROL_SOCKET, NOTIFY_SOCKET};
@@ -22,6 +23,9 @@ use crate::trust::Platform;
 
 /// The path for programs that a process starts; deterministic.
 const PATH: &str = "/usr/local/bin:/usr/bin:/bin:/usr/local/sbin:/usr/sbin:/sbin";
+
+/// What is told if memory is limited by `setrlimit` alone.
+const NO_MEMORY_GROUP: &str = "a memory group (cgroup v1): its limit is RLIMIT_DATA alone";
 
 #[derive(Debug)]
 pub(super) struct Children {
@@ -33,6 +37,7 @@ pub(super) struct Children {
     status: Vec<String>,
     /// A guardian handles what is left when the launcher dies.
     guarded: bool,
+    memory: Option<MemoryGroups>,
 }
 
 #[derive(Debug)]
@@ -42,7 +47,7 @@ struct Running {
 }
 
 /// A process that was started: its id, and what was not granted. Or why it was not started.
-type Start = Result<(u32, Vec<&'static str>), String>;
+type Start = Result<(u32, Vec<String>), String>;
 
 impl Children {
     pub(super) fn new(
@@ -61,7 +66,13 @@ impl Children {
             running: (0..count).map(|_| None).collect(),
             status: vec![String::new(); count],
             guarded,
+            memory: MemoryGroups::named(&names.control),
         }
+    }
+
+    /// Returns what is wrong with the manifest or the list of parts, in monitor mode.
+    pub(super) fn warning(&self) -> Option<String> {
+        self.platform.warning().map(ToString::to_string)
     }
 
     /// Starts a process. A refusal of the program is an error of the process; an operating system
@@ -71,26 +82,37 @@ impl Children {
         let Some(plan) = manifest.processes.get(at) else {
             return Ok(Err("no such process".to_owned()));
         };
-        let trusted = match self.platform.command(&plan.program) {
+        let mut trusted = match self.platform.command(&plan.program) {
             Ok(trusted) => trusted,
             Err(error) => return refused(&error, error.to_string()),
         };
+        trusted.command.args(&plan.arguments).env_clear();
+        for (name, value) in self.environment(plan) {
+            if let Err(error) = trusted.set(&name, value.as_ref()) {
+                return refused(&error, error.to_string());
+            }
+        }
+        let mut refusals = vec![];
+        refusals.extend(trusted.warning.map(|warning| warning.to_string()));
         let mut command = trusted.command;
-        command.args(&plan.arguments).env_clear().env("PATH", PATH);
-        if plan.reports() {
-            command.env(NOTIFY_SOCKET, format!("@{}", self.names.notify));
-        }
-        if plan.state_management {
-            command.env(CONTROL_SOCKET, format!("@{}", self.names.control));
-        }
-        command.envs(&plan.environment).env(MARK, plan.name());
         command.current_dir(self.folder.join(&plan.directory));
         command.stdin(Stdio::null());
         let mut placement = placement(plan);
         placement.keep = trusted.keep;
         placement.when_caller_ends = (!self.guarded).then_some(Signal::TERM);
+        placement.inherit_all = !self.guarded;
         if let Err(error) = self.set_output(plan, &mut command) {
             return refused(&error, format!("its output: {error}"));
+        }
+        if let Some(bytes) = plan.limits.memory {
+            match self
+                .memory
+                .as_ref()
+                .map(|groups| groups.make(plan.name(), bytes))
+            {
+                Some(Ok(group)) => placement.join.push(Arc::new(group)),
+                _ => refusals.push(NO_MEMORY_GROUP.to_owned()),
+            }
         }
         let (child, wishes) = match spawn::spawn(&mut command, &placement) {
             Ok(started) => started,
@@ -106,14 +128,33 @@ impl Children {
         if let Some(place) = self.running.get_mut(at) {
             *place = Some(Running { child, watched });
         }
-        Ok(Ok((pid, wishes.into_iter().map(in_words).collect())))
+        refusals.extend(wishes.into_iter().map(|wish| in_words(wish).to_owned()));
+        Ok(Ok((pid, refusals)))
+    }
+
+    /// Returns the environment of a process; later variables replace earlier ones.
+    fn environment(&self, plan: &ProcessPlan) -> Vec<(String, String)> {
+        let mut all = vec![("PATH".to_owned(), PATH.to_owned())];
+        if plan.reports() {
+            all.push((NOTIFY_SOCKET.to_owned(), format!("@{}", self.names.notify)));
+        }
+        if plan.state_management {
+            all.push((CONTROL_SOCKET.to_owned(), format!("@{}", self.names.control)));
+        }
+        let own = plan.environment.iter();
+        all.extend(own.map(|(name, value)| (name.clone(), value.clone())));
+        all.push((MARK.to_owned(), plan.name().to_owned()));
+        all
     }
 
     /// Leads standard output and standard error to the file of the manifest.
     fn set_output(&self, plan: &ProcessPlan, command: &mut Command) -> io::Result<()> {
         if let Some(file) = &plan.output {
             let mut options = File::options();
-            let file = options.append(true).create(true).open(self.folder.join(file))?;
+            let file = options
+                .append(true)
+                .create(true)
+                .open(self.folder.join(file))?;
             command.stdout(file.try_clone()?).stderr(file);
         }
         Ok(())
@@ -167,6 +208,11 @@ impl Children {
     /// Kills what the processes have started and left. In a process of its own, the launcher kills
     /// all of its descendants.
     pub(super) fn kill_what_is_left(&self) {
+        self.kill_orphans();
+        self.memory.iter().for_each(MemoryGroups::remove);
+    }
+
+    fn kill_orphans(&self) {
         for plan in &self.manifest.processes {
             if self.guarded {
                 while descendants::signal_all(Signal::KILL) > 0 {
@@ -222,7 +268,9 @@ fn refused(error: &(dyn Error + 'static), why: String) -> Result<Start, Unrecove
 fn system_failure(error: &(dyn Error + 'static)) -> Option<Errno> {
     let mut error = Some(error);
     while let Some(this) = error {
-        let number = this.downcast_ref::<io::Error>().and_then(Errno::from_io_error);
+        let number = this
+            .downcast_ref::<io::Error>()
+            .and_then(Errno::from_io_error);
         let number = number.or_else(|| this.downcast_ref::<Errno>().copied());
         let lacks = [Errno::AGAIN, Errno::NOMEM, Errno::MFILE, Errno::NFILE];
         if let Some(number) = number.filter(|it| lacks.contains(it)) {
@@ -252,6 +300,8 @@ fn placement(plan: &ProcessPlan) -> Placement {
         gid: plan.gid,
         groups: plan.groups.clone(),
         keep: vec![],
+        join: vec![],
+        inherit_all: false,
         when_caller_ends: None,
     }
 }
@@ -275,5 +325,6 @@ const fn in_words(wish: Wish) -> &'static str {
         Wish::Cpus => "its CPUs",
         Wish::Scheduling => "its scheduling policy and priority",
         Wish::Limit => "a limit: the hard limit of the launcher is lower",
+        Wish::Group => NO_MEMORY_GROUP,
     }
 }

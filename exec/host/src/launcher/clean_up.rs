@@ -10,7 +10,7 @@ use rustix::time::Timespec;
 use tandem_board_host::spawn::{self, Watched};
 
 use super::descendants;
-use super::group::ControlGroup;
+use super::group::{ControlGroup, MemoryGroups};
 use crate::manifest::SafeState;
 use crate::trust::Platform;
 
@@ -29,6 +29,7 @@ pub(super) struct CleanUp {
     /// The manifest's folder and the anchor, for commands of the manifest.
     pub(super) manifest: Option<(PathBuf, Option<PathBuf>)>,
     pub(super) group: Option<ControlGroup>,
+    pub(super) memory: Option<MemoryGroups>,
 }
 
 impl CleanUp {
@@ -49,6 +50,7 @@ impl CleanUp {
             failed.push(format!("processes that cannot be killed: {left:?}"));
         }
         self.group.iter().for_each(ControlGroup::remove);
+        self.memory.iter().for_each(MemoryGroups::remove);
         failed.extend(self.command("post-clean-up", &self.after, within).err());
         failed
     }
@@ -68,7 +70,10 @@ impl CleanUp {
             }
         };
         command.args(arguments).stdin(Stdio::null());
-        let placement = spawn::Placement { keep, ..Default::default() };
+        let placement = spawn::Placement {
+            keep,
+            ..Default::default()
+        };
         let started = spawn::spawn(&mut command, &placement);
         let (mut child, _) = started.map_err(|error| fail(&error))?;
         if let Some(watched) = Watched::new(child.id()) {
@@ -95,13 +100,18 @@ impl CleanUp {
 pub struct AloneCleanUp(CleanUp, String);
 
 impl AloneCleanUp {
-    pub(super) fn of(safe_state: &SafeState, manifest: (PathBuf, Option<PathBuf>), group: &str) -> Self {
+    pub(super) fn of(
+        safe_state: &SafeState,
+        manifest: (PathBuf, Option<PathBuf>),
+        group: &str,
+    ) -> Self {
         let clean_up = CleanUp {
             before: safe_state.before.clone(),
             after: safe_state.after.clone(),
             within_ms: safe_state.within.as_us() / 1_000,
             manifest: Some(manifest),
             group: None,
+            memory: MemoryGroups::named(group),
         };
         Self(clean_up, group.to_owned())
     }

@@ -21,9 +21,10 @@ pub enum LaunchEvent {
     /// A process was started.
     #[allow(missing_docs)]
     Started { process: String, pid: u32 },
-    /// The machine does not grant a process this; it runs without.
+    /// The machine does not grant a process this, and it runs without; or it runs unchecked, in
+    /// monitor mode.
     #[allow(missing_docs)]
-    NotGranted { process: String, what: &'static str },
+    NotGranted { process: String, what: String },
     /// A process is ready.
     #[allow(missing_docs)]
     Ready { process: String },
@@ -48,7 +49,7 @@ impl fmt::Display for Told {
         match &self.event {
             LaunchEvent::Started { process, pid } => write!(f, "{process}: started, pid {pid}"),
             LaunchEvent::NotGranted { process, what } => {
-                write!(f, "{process}: not granted by this machine: {what}")
+                write!(f, "{process}: not granted: {what}")
             }
             LaunchEvent::Ready { process } => write!(f, "{process}: ready"),
             LaunchEvent::Failed { process, why, next } => {

@@ -20,9 +20,11 @@ use tandem_board_host::spawn::{self, Watched};
 
 use super::clean_up::CleanUp;
 use super::descendants;
-use super::group::ControlGroup;
+use super::group::{ControlGroup, MemoryGroups};
 use crate::manifest::SafeState;
 
+/// The shortest time of the watchdog: below, a busy machine would end a launcher that works.
+const SHORTEST: Duration = Duration::from_millis(100);
 /// The exit status of a launcher that gives up.
 pub const GIVES_UP: u8 = 70;
 /// The exit status of a launcher that has started nothing.
@@ -70,7 +72,9 @@ pub(super) struct Link {
 
 impl Link {
     pub(super) fn new() -> Self {
-        Self { stream: io::stdin() }
+        Self {
+            stream: io::stdin(),
+        }
     }
 
     /// Tells the guardian what the clean-up needs.
@@ -94,7 +98,10 @@ impl Link {
 
     fn send(&self, line: &[u8]) -> bool {
         // A guardian that is suspended reads later: its silence is no end.
-        !matches!(rustix::io::write(&self.stream, line), Err(Errno::PIPE | Errno::CONNRESET))
+        !matches!(
+            rustix::io::write(&self.stream, line),
+            Err(Errno::PIPE | Errno::CONNRESET)
+        )
     }
 
     pub(super) fn fd(&self) -> BorrowedFd<'_> {
@@ -123,7 +130,9 @@ impl Guardian {
         set_child_subreaper(Some(getpid()))?;
         let (stream, theirs) = UnixStream::pair()?;
         theirs.set_nonblocking(true)?;
-        launcher.stdin(Stdio::from(OwnedFd::from(theirs))).process_group(0);
+        launcher
+            .stdin(Stdio::from(OwnedFd::from(theirs)))
+            .process_group(0);
         let child = launcher.spawn()?;
         drop(launcher);
         let watched = Watched::new(child.id()).ok_or(io::ErrorKind::NotFound)?;
@@ -135,6 +144,7 @@ impl Guardian {
                 within_ms: defaults.within.as_us() / 1_000,
                 manifest: None,
                 group: None,
+                memory: None,
             },
             plan,
             launcher: child,
@@ -150,11 +160,7 @@ impl Guardian {
     ///
     /// # Errors
     /// If the system does not permit to watch.
-    pub fn watch(
-        mut self,
-        stops: &UnixStream,
-        warn: &mut dyn FnMut(&str),
-    ) -> io::Result<GuardEnd> {
+    pub fn watch(mut self, stops: &UnixStream, warn: &mut dyn FnMut(&str)) -> io::Result<GuardEnd> {
         stops.set_nonblocking(true)?;
         self.stream.set_nonblocking(true)?;
         let mut last = Instant::now();
@@ -192,7 +198,11 @@ impl Guardian {
     }
 
     fn sleep(&self, stops: &UnixStream, span: Duration) {
-        let fds = [self.watched.fd().as_fd(), self.stream.as_fd(), stops.as_fd()];
+        let fds = [
+            self.watched.fd().as_fd(),
+            self.stream.as_fd(),
+            stops.as_fd(),
+        ];
         let mut fds = fds.map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN));
         let span = Timespec {
             tv_sec: span.as_secs() as i64,
@@ -220,15 +230,18 @@ impl Guardian {
     }
 
     fn begin(&mut self, begin: Begin, warn: &mut dyn FnMut(&str)) {
-        self.watchdog = Duration::from_millis(begin.watchdog_ms);
+        self.watchdog = SHORTEST.max(Duration::from_millis(begin.watchdog_ms));
         self.clean_up.within_ms = begin.within_ms;
         // Beside the start of the processes: a move takes 5 to 15 ms, in which the kernel waits.
         let launcher = self.launcher.id();
         let group = ControlGroup::make(&begin.group);
         let all = || descendants::living(&[launcher]);
         self.clean_up.group = group.filter(|it| it.take(all));
+        self.clean_up.memory = MemoryGroups::named(&begin.group);
         if self.clean_up.group.is_none() {
-            warn("no control group (cgroup v2) is granted: process groups and /proc take its place");
+            warn(
+                "no control group (cgroup v2) is granted: process groups and /proc take its place",
+            );
         }
         if self.plan.before.is_empty() && self.plan.after.is_empty() {
             self.clean_up.before = begin.before;

@@ -32,7 +32,11 @@ impl Bench {
 
     /// One process in target one, and nothing in target two.
     fn of_one(more: &str) -> Self {
-        Self::new(&[process("p", more), target("one", &["p"]), target("two", &[])])
+        Self::new(&[
+            process("p", more),
+            target("one", &["p"]),
+            target("two", &[]),
+        ])
     }
 
     /// Returns the actions without what is told.
@@ -68,9 +72,17 @@ const NOTHING: [Action; 0] = [];
 #[test]
 fn a_process_is_ready_by_its_report_its_start_or_its_end() {
     let rows = [
-        ("ready = \"report\"", Input::Report(0, ProcessReport::Ready), "ready"),
+        (
+            "ready = \"report\"",
+            Input::Report(0, ProcessReport::Ready),
+            "ready",
+        ),
         ("ready = \"running\"", Input::Started(0), "ready"),
-        ("ready = \"exit\"", Input::Ended(0, ExitKind::Code(0)), "finished"),
+        (
+            "ready = \"exit\"",
+            Input::Ended(0, ExitKind::Code(0)),
+            "finished",
+        ),
     ];
     for (more, input, expected) in rows.clone() {
         for (_, other, _) in &rows {
@@ -117,7 +129,10 @@ fn a_dependent_waits_and_a_crash_does_not_touch_it() {
 fn late_is_a_failure() {
     let mut bench = Bench::of_one("ready-within = \"10ms\"\nrestart = { times = 1 }");
     bench.on(Input::Switch(0));
-    assert_eq!(bench.supervisor.next_tick(bench.now), Some(bench.now + Duration::from_ms(10)));
+    assert_eq!(
+        bench.supervisor.next_tick(bench.now),
+        Some(bench.now + Duration::from_ms(10))
+    );
     assert_eq!(bench.after(9), NOTHING);
     assert_eq!(bench.after(1), TERMINATE);
     // Too late: it is told to end.
@@ -146,7 +161,11 @@ fn failures_lead_step_by_step_to_the_safe_state() {
             let actions = bench.on(Input::Ended(0, CRASH));
             let is_last = (target, restart) == (1, 2);
             let end = [Action::End(Outcome::SafeState(0))];
-            assert_eq!(actions, if is_last { end } else { START }, "{target} {restart}");
+            assert_eq!(
+                actions,
+                if is_last { end } else { START },
+                "{target} {restart}"
+            );
         }
     }
 }
@@ -169,13 +188,22 @@ fn an_end_with_status_0_is_a_failure_unless_it_is_permitted() {
         ("may-end = true", ExitKind::Signal(15), "failed"),
     ] {
         let other = process("q", "");
-        let parts = [process("p", more), other, target("one", &["p", "q"]), target("two", &["q"])];
+        let parts = [
+            process("p", more),
+            other,
+            target("one", &["p", "q"]),
+            target("two", &["q"]),
+        ];
         let mut bench = Bench::new(&parts);
         bench.on(Input::Switch(0));
         bench.report(ProcessReport::Ready);
         bench.on(Input::Ended(0, how));
         // The switch to the fallback forgets the failure.
-        let state = if bench.supervisor.target().0 == Some(1) { "failed" } else { bench.state(0) };
+        let state = if bench.supervisor.target().0 == Some(1) {
+            "failed"
+        } else {
+            bench.state(0)
+        };
         assert_eq!(state, expected, "{more} {how:?}");
     }
 }
@@ -228,7 +256,10 @@ fn a_process_that_says_it_ends_is_not_supervised() {
     let mut bench = supervised("alive = { every = \"100ms\" }\nmay-end = true");
     bench.report(ProcessReport::Stopping);
     assert_eq!(bench.after(100), NOTHING);
-    assert_eq!(bench.on(Input::Ended(0, ExitKind::Code(0))), [Action::End(Outcome::Done)]);
+    assert_eq!(
+        bench.on(Input::Ended(0, ExitKind::Code(0))),
+        [Action::End(Outcome::Done)]
+    );
 }
 
 #[test]
@@ -326,10 +357,19 @@ impl World {
     fn new() -> Self {
         let parts = [
             process("a", "restart = { times = 1, pause = \"20ms\" }"),
-            process("b", "after = [\"a\"]\nready-within = \"100ms\"\nstop-within = \"50ms\""),
-            process("c", "after = [\"a\", \"b\"]\nrestart = { times = 3 }\nmay-end = true"),
+            process(
+                "b",
+                "after = [\"a\"]\nready-within = \"100ms\"\nstop-within = \"50ms\"",
+            ),
+            process(
+                "c",
+                "after = [\"a\", \"b\"]\nrestart = { times = 3 }\nmay-end = true",
+            ),
             process("d", "ready = \"exit\"\nafter = [\"a\"]"),
-            process("e", "ready = \"running\"\nrestart = { times = 2, pause = \"5ms\" }"),
+            process(
+                "e",
+                "ready = \"running\"\nrestart = { times = 2, pause = \"5ms\" }",
+            ),
             target("one", &["c", "e"]),
             target("two", &["d", "e"]),
             target("three", &["b"]),
@@ -365,9 +405,15 @@ impl World {
                 let manifest = Arc::clone(&self.bench.supervisor.manifest);
                 let plan = &manifest.processes[at];
                 let dependencies = plan.dependencies();
-                assert!(dependencies.iter().all(|it| self.ready[*it]), "{at} starts too early");
+                assert!(
+                    dependencies.iter().all(|it| self.ready[*it]),
+                    "{at} starts too early"
+                );
                 self.starts[at] += 1;
-                assert!(self.starts[at] <= 1 + plan.restart.times, "too many restarts of {at}");
+                assert!(
+                    self.starts[at] <= 1 + plan.restart.times,
+                    "too many restarts of {at}"
+                );
                 self.exists[at] = true;
                 self.killed[at] = false;
                 self.ready[at] = plan.ready == ReadyBy::Running;

@@ -87,7 +87,11 @@ fn unreadable_manifest() {
         assert_eq!(rig.end().code(), Some(2), "{}", rig.story());
         assert_eq!(rig.text("log"), "pre\npost\n", "{}", rig.story());
         assert!(!rig.has("started") && !rig.has("pids"));
-        assert!(rig.text("errors").contains("manifest.toml"), "{}", rig.story());
+        assert!(
+            rig.text("errors").contains("manifest.toml"),
+            "{}",
+            rig.story()
+        );
     }
 }
 
@@ -97,9 +101,19 @@ fn no_state_management() {
     let last = process("last", &["append:pids", "ready", "pause"], more);
     let mut rig = Rig::start(&[head("fallback = \"all\""), last, others()]);
     wait_for_all(&rig);
-    signal(*rig.pids("pids").iter().find(|pid| is_last(**pid)).unwrap(), Signal::KILL);
+    signal(
+        *rig.pids("pids").iter().find(|pid| is_last(**pid)).unwrap(),
+        Signal::KILL,
+    );
     rig.wait_until("a restart", |rig| rig.events(&["last: ready"]).len() == 2);
-    signal(*rig.pids("pids").iter().rev().find(|pid| is_last(**pid)).unwrap(), Signal::KILL);
+    signal(
+        *rig.pids("pids")
+            .iter()
+            .rev()
+            .find(|pid| is_last(**pid))
+            .unwrap(),
+        Signal::KILL,
+    );
     check_clean_up(&mut rig);
     assert!(rig.text("errors").contains("state management is lost"));
 }
@@ -107,7 +121,9 @@ fn no_state_management() {
 /// Returns whether this is the process `last`.
 fn is_last(pid: i32) -> bool {
     let environment = std::fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
-    environment.split(|byte| *byte == 0).any(|it| it == b"TANDEM_EXEC_PROCESS=last")
+    environment
+        .split(|byte| *byte == 0)
+        .any(|it| it == b"TANDEM_EXEC_PROCESS=last")
 }
 
 fn running(more: &str) -> Rig {
@@ -137,7 +153,9 @@ fn launcher_and_process_killed() {
     let mut rig = running("");
     let launcher = rig.launcher_pid();
     signal(launcher, Signal::STOP);
-    rig.pids("pids").into_iter().for_each(|pid| signal(pid, Signal::KILL));
+    rig.pids("pids")
+        .into_iter()
+        .for_each(|pid| signal(pid, Signal::KILL));
     signal(launcher, Signal::KILL);
     assert_eq!(rig.end().code(), Some(1));
     assert_eq!(rig.text("log"), "pre\npost\n", "{}", rig.story());
@@ -162,20 +180,26 @@ fn no_process_left() {
     }
     let user = 2_000_000_000 + std::process::id();
     // Guardian, launcher, four processes and the child of one; the fifth process is too many.
-    starved(7, Placement {
-        uid: Some(user),
-        gid: Some(user),
-        limits: vec![(Resource::Nproc, 7)],
-        ..Placement::default()
-    });
+    starved(
+        7,
+        Placement {
+            uid: Some(user),
+            gid: Some(user),
+            limits: vec![(Resource::Nproc, 7)],
+            ..Placement::default()
+        },
+    );
 }
 
 /// E-5: the system gives no further descriptor (EMFILE).
 fn no_descriptor_left() {
-    starved(40, Placement {
-        limits: vec![(Resource::Nofile, 24)],
-        ..Placement::default()
-    });
+    starved(
+        40,
+        Placement {
+            limits: vec![(Resource::Nofile, 24)],
+            ..Placement::default()
+        },
+    );
 }
 
 /// Starts so many processes, one after the other, that the system refuses one.
@@ -187,10 +211,18 @@ fn starved(count: usize, placement: Placement) {
             0 => "after = [\"obedient\", \"stubborn\", \"parent\"]".to_owned(),
             at => format!("after = [{:?}]", name(at - 1)),
         };
-        manifest.push(process(&name(at), &["append:pids", "ready", "pause"], &after));
+        manifest.push(process(
+            &name(at),
+            &["append:pids", "ready", "pause"],
+            &after,
+        ));
     }
     let last = format!("after = [{:?}]", name(count - 1));
-    manifest.push(process("last", &["append:started-all", "ready", "pause"], &last));
+    manifest.push(process(
+        "last",
+        &["append:started-all", "ready", "pause"],
+        &last,
+    ));
     manifest.push(others());
     let mut rig = Rig::prepare(&manifest);
     let mut command = Command::new(std::env::current_exe().unwrap());
@@ -203,7 +235,11 @@ fn starved(count: usize, placement: Placement) {
     });
     check_clean_up(&mut rig);
     assert!(!rig.has("started-all"));
-    assert!(rig.text("errors").contains("the operating system fails"), "{}", rig.story());
+    assert!(
+        rig.text("errors").contains("the operating system fails"),
+        "{}",
+        rig.story()
+    );
 }
 
 /// E-6: a process fails, and there is no fallback target.
@@ -213,7 +249,11 @@ fn no_fallback() {
     wait_for_all(&rig);
     std::fs::write(rig.path("go"), "").unwrap();
     check_clean_up(&mut rig);
-    assert!(rig.text("errors").contains("last has failed"), "{}", rig.story());
+    assert!(
+        rig.text("errors").contains("last has failed"),
+        "{}",
+        rig.story()
+    );
 }
 
 /// E-6: a process of the fallback target fails, too.
@@ -223,8 +263,18 @@ fn fallback_fails() {
     wait_for_all(&rig);
     std::fs::write(rig.path("go"), "").unwrap();
     check_clean_up(&mut rig);
-    assert_eq!(rig.events(&["last:", "next: fallback"]).len(), 1, "{}", rig.story());
-    assert_eq!(rig.events(&["last:", "next: safe state"]).len(), 1, "{}", rig.story());
+    assert_eq!(
+        rig.events(&["last:", "next: fallback"]).len(),
+        1,
+        "{}",
+        rig.story()
+    );
+    assert_eq!(
+        rig.events(&["last:", "next: safe state"]).len(),
+        1,
+        "{}",
+        rig.story()
+    );
 }
 
 /// E-5: a pre-clean-up that hangs does not keep processes alive.
@@ -237,5 +287,9 @@ fn clean_up_that_hangs() {
     assert_eq!(rig.end().code(), Some(1));
     assert_eq!(rig.text("log"), "termed\npost\n", "{}", rig.story());
     check_nothing_left(&rig);
-    assert!(rig.text("errors").contains("pre-clean-up"), "{}", rig.story());
+    assert!(
+        rig.text("errors").contains("pre-clean-up"),
+        "{}",
+        rig.story()
+    );
 }
