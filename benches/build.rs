@@ -1,6 +1,7 @@
-//! Builds what is in C: FreeRTOS with its own POSIX port, a peer; the library that takes the samples
-//! of another peer, ddsperf; and the program that supervisors start. Records the commit, the compiler
-//! and the flags, because a result must name them.
+//! Builds what is in C, and records the commit, the compiler and the flags of this build.
+//!
+//! In C are FreeRTOS with its own POSIX port, a peer; the library that takes the samples of another
+//! peer, ddsperf; and the program that supervisors start.
 
 use std::env;
 use std::error::Error;

@@ -1,6 +1,6 @@
 //! All cases by name. A group that has a floor lists it first.
 
-use crate::exec::{self, Supervisor, pool, skew};
+use crate::exec::{self, Supervisor, skew, worker_pool as pool};
 use crate::harness::{Batch, BatchPlan};
 use crate::peers::iceoryx2::Settings;
 use crate::peers::mutex::Death;

@@ -314,7 +314,8 @@ enum Campaign {
         #[arg(long, value_name = "FILE")]
         json: Option<PathBuf>,
     },
-    /// Two redundant clients at 1 kHz. Fails if an overrun is not explained by a stall of the machine
+    /// Two redundant clients at 1 kHz. Fails if an overrun is not explained by a stall of the
+    /// machine
     Activations {
         /// How long, in seconds
         #[arg(long, default_value_t = 60)]

@@ -1,9 +1,9 @@
 //! Execution: ten processes from start to ready, restarts, and the skew of activations.
 
-pub(crate) mod pool;
 pub(crate) mod skew;
-mod start;
 mod supervisors;
+mod ten_processes;
+pub(crate) mod worker_pool;
 
-pub(crate) use start::{ready_10, restart};
 pub(crate) use supervisors::Supervisor;
+pub(crate) use ten_processes::{ready_10, restart};

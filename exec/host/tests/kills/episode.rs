@@ -1,5 +1,5 @@
-//! One life of a platform: it is started, its processes are killed at random, then it ends in one of
-//! several ways, and nothing of it may be left.
+//! One life of a platform: it starts, its processes are killed at random, it ends in one of several
+//! ways, and nothing of it may be left.
 
 use std::fmt::Write as _;
 use std::fs::File;

@@ -1,5 +1,5 @@
-//! Random kills of a platform: its processes, its launcher, its guardian, redundant clients and their
-//! masters. Nothing is left behind, no activation is wrong, and the outputs are the same.
+//! Random kills of a platform: nothing is left behind, no activation is wrong, the outputs are the
+//! same. Its processes are killed, its launcher, its guardian, redundant clients and their masters.
 //!
 //! `TANDEM_KILLS` is the number of kills (100), `TANDEM_KILLS_SEED` the seed, `TANDEM_KILLS_JSON` a
 //! file for `{"kills", "violations"}`: `cargo xtask campaign launch`.
@@ -41,8 +41,8 @@ fn number(variable: &str) -> Option<u64> {
     std::env::var(variable).ok()?.parse().ok()
 }
 
-/// E-3, E-5, E-6: whatever is killed, frozen or told to end, nothing of a platform is left behind, no
-/// client is activated wrongly, and all compute the same.
+/// E-3, E-5, E-6: whatever is killed, frozen or told to end, nothing of a platform is left behind,
+/// no client is activated wrongly, and all compute the same.
 fn kills() {
     let count = number("TANDEM_KILLS").unwrap_or(100);
     let seed = number("TANDEM_KILLS_SEED").unwrap_or_else(|| std::process::id().into());
