@@ -96,7 +96,7 @@ pub enum Unrecoverable {
     },
     /// The watchdog is lost.
     #[error("the guardian has ended")]
-    NoGuardian(AloneCleanUp),
+    NoGuardian(Box<AloneCleanUp>),
 }
 
 /// Returns the exit status of a launcher's process that gives up. Without a guardian it cleans up
@@ -220,7 +220,7 @@ impl ProcessLauncher {
             asked_to_stop: 0,
             waiting: vec![],
             inputs: VecDeque::new(),
-            guard: guarded.then(|| guardian::Link::new()),
+            guard: guarded.then(guardian::Link::new),
             group: self.names.control,
             files: self.files,
             begin: clock::now(),
@@ -463,7 +463,7 @@ impl Shell<'_> {
         {
             let clean_up =
                 AloneCleanUp::of(&self.manifest.safe_state, self.files.clone(), &self.group);
-            return Err(Unrecoverable::NoGuardian(clean_up));
+            return Err(Unrecoverable::NoGuardian(Box::new(clean_up)));
         }
         self.inputs.push_back(Input::Tick);
         Ok(())

@@ -139,7 +139,10 @@ impl Children {
             all.push((NOTIFY_SOCKET.to_owned(), format!("@{}", self.names.notify)));
         }
         if plan.state_management {
-            all.push((CONTROL_SOCKET.to_owned(), format!("@{}", self.names.control)));
+            all.push((
+                CONTROL_SOCKET.to_owned(),
+                format!("@{}", self.names.control),
+            ));
         }
         let own = plan.environment.iter();
         all.extend(own.map(|(name, value)| (name.clone(), value.clone())));
