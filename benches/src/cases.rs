@@ -35,8 +35,8 @@ pub enum Comparison {
     Topics,
     /// FreeRTOS on the host: lateness of the tick, and switches between tasks.
     Rtos,
-    /// Processes under a supervisor: ten from start to ready, restarts; the skew of activations; the
-    /// worker pool.
+    /// Processes under a supervisor: ten from start to ready, restarts; the skew of activations;
+    /// the worker pool.
     Exec,
     /// Pauses caused by the machine.
     Noise,

@@ -14,4 +14,106 @@ mod companion;
 mod control_core;
 mod core_process;
 pub mod dflash;
+pub mod exec;
 pub mod exec_sign;
+pub mod failure;
+pub mod files;
+mod forging;
+mod gptp;
+pub mod grandmaster;
+pub mod injection;
+pub mod live;
+pub mod metrics;
+pub mod output;
+pub mod percentiles;
+pub mod ps;
+pub mod publish;
+pub mod recorder;
+mod report;
+pub mod run;
+pub mod run_config;
+pub mod soc;
+pub mod stall_watch;
+mod summary;
+mod three_frames;
+mod time_figures;
+mod timeline;
+pub mod topics;
+mod update;
+pub mod vehicle;
+pub mod world_record;
+
+use std::alloc::System;
+use std::io::{self, Write as _};
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use run_config::RunConfig;
+use tandem_board_host::{InvalidArgs, ProcessArgs, supply};
+
+use failure::Failure;
+use tandem_rtos::host::TaskAllocator;
+
+/// The tasks of a core share its thread, and therefore also its allocator.
+#[global_allocator]
+static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
+
+/// Runs a process of a run if the arguments request one, otherwise `command`. Every program that
+/// starts a run must call this, because the program starts itself again, with hidden arguments, for
+/// each process of the run.
+pub fn program(command: impl FnOnce() -> Result<(), Failure>) -> ExitCode {
+    if let Some(args) = ProcessArgs::parse(std::env::args_os().skip(1)) {
+        return match process(args) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => {
+                eprintln!("{error:#}");
+                ExitCode::FAILURE
+            }
+        };
+    }
+    match command() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            failure.say();
+            failure.code()
+        }
+    }
+}
+
+/// Runs one process of a run until it ends.
+fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
+    match args? {
+        ProcessArgs::Supply(args) => {
+            let system = args.system;
+            supply::run(&args, &run::core_command).with_context(|| format!("supply {system}"))
+        }
+        ProcessArgs::Core(args) => {
+            let of = args.identity;
+            core_process::run(&args).with_context(|| format!("core {}{}", of.system, of.core))
+        }
+        ProcessArgs::Vehicle(args) => {
+            let run = RunConfig::from_extra(&args.common.extra)?;
+            match &run.demo {
+                Some(files) => boot_demo::play(&args, files),
+                None => vehicle::run(&args, &run),
+            }
+            .context("vehicle")
+        }
+    }
+}
+
+/// Writes to stdout. A closed pipe is not an error.
+///
+/// # Errors
+/// If stdout cannot be written.
+pub fn print(text: &str) -> anyhow::Result<()> {
+    match io::stdout().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error).context("stdout"),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    pub(crate) mod synthetic;
+}

@@ -2,7 +2,7 @@
 //!
 //! | supervisor | how a process reports | who says that all are ready |
 //! |---|---|---|
-//! | `tandem exec run` | `READY=1` to `NOTIFY_SOCKET` | the launcher, by the event `reached` on stdout |
+//! | `tandem exec run` | `READY=1` to `NOTIFY_SOCKET` | the launcher, by its event `reached` |
 //! | s6 | a newline to descriptor 3 | `s6-svwait -U` |
 //! | runit | not at all | the processes themselves |
 //! | `systemd --user` | `READY=1` to `NOTIFY_SOCKET` | the manager, by `STATUS=Ready.` |
@@ -25,8 +25,9 @@ const SYSTEMD: &str = "/lib/systemd/systemd";
 const STOP_WITHIN: Duration = Duration::from_secs(10);
 
 /// Gives systemd what it demands: a folder that says that the machine was booted by systemd, and a
-/// tree of control groups and process ids of its own. Without the latter it would move all processes
-/// of the machine's root group. The group's path is `$1`. A newline tells that all is made.
+/// tree of control groups and process ids of its own. Without the latter it would move all
+/// processes of the machine's root group. The group's path is `$1`. A newline tells that all is
+/// made.
 const IN_NAMESPACES: &str = "echo $$ > $1/cgroup.procs && exec unshare --mount --cgroup --pid \
     --fork --kill-child --mount-proc --propagation private sh -c '\
     mount -t cgroup2 none /sys/fs/cgroup && mount -t tmpfs none /run && \

@@ -74,8 +74,8 @@ impl Place {
         both.ok_or_else(|| io::Error::other(format!("a process reported {text:?}")))
     }
 
-    /// Starts the supervisor, and waits until all are ready. Returns it with the pipe that ends with
-    /// its last process; when the last process was ready; and when the supervisor said so.
+    /// Starts the supervisor, and waits until all are ready. Returns it with the pipe that ends
+    /// with its last process; when the last process was ready; and when the supervisor said so.
     fn start(&self) -> io::Result<(Started, Times)> {
         let (mut leash, held) = io::pipe()?;
         let services = self.path("services");
