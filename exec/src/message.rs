@@ -221,7 +221,8 @@ impl Payload for Request {
 
     fn store(&self, put: &mut impl FnMut(u32)) {
         let code = self.code.map_or(0, |code| code as u32);
-        let flags = u32::from(self.is_lost) * LOST | u32::from(self.is_done) * DONE;
+        let [lost, done] = [self.is_lost, self.is_done].map(u32::from);
+        let flags = (lost * LOST) | (done * DONE);
         put(REQUEST_MARK | flags | code << 8 | u32::from(self.client.0));
         put(self.generation);
         put_u64(self.cycle, put);
