@@ -146,7 +146,7 @@ impl Activation {
 
 /// What a client says when it waits for its next activation. SWS_EM_01325
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Request {
+pub struct SyncRequest {
     /// Who asks.
     pub client: ClientId,
     /// Which start of this client, from 1. A greater number means that it was restarted.
@@ -167,7 +167,7 @@ pub struct Request {
 
 /// What the master answers to all clients. SWS_EM_01326
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Response {
+pub struct SyncResponse {
     /// The master that answers.
     pub master: ClientId,
     /// Number of the activation, from 1.
@@ -216,7 +216,7 @@ fn head(word: u32, mark: u32, flags: u32) -> Result<(ClientId, u32), Corrupt> {
     Ok((client, word >> 8 & 0xFF))
 }
 
-impl Payload for Request {
+impl Payload for SyncRequest {
     const WORDS: usize = 8;
 
     fn store(&self, put: &mut impl FnMut(u32)) {
@@ -251,7 +251,7 @@ impl Payload for Request {
     }
 }
 
-impl Payload for Response {
+impl Payload for SyncResponse {
     const WORDS: usize = 8;
 
     fn store(&self, put: &mut impl FnMut(u32)) {

@@ -1,14 +1,14 @@
 //! All interleavings of candidates and clients around decisions: no two clients take different
 //! answers for one cycle, whoever is frozen, dies or starts again at any step (E-3).
-#![allow(clippy::unwrap_used, reason = "a test")]
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a test")]
 
 use std::collections::HashSet;
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 
 use tandem_board::{Duration, Instant};
 use tandem_exec::client::Client;
-use tandem_exec::master::{Config, Master};
-use tandem_exec::message::{ClientId, Request, Response};
+use tandem_exec::master::{Config, MasterCore};
+use tandem_exec::message::{ClientId, SyncRequest, SyncResponse};
 
 const CLIENTS: usize = 2;
 const MASTERS: usize = 2;
@@ -42,26 +42,26 @@ enum Step {
     /// Reads requests and decision, and polls.
     Look,
     /// Has a proposal, and the word that it saw.
-    Write(Response, Option<(u64, usize)>),
+    Write(SyncResponse, Option<(u64, usize)>),
     /// Has written its slot.
-    Decide(Response, Option<(u64, usize)>),
+    Decide(SyncResponse, Option<(u64, usize)>),
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct State {
     now: u64,
     deaths: u32,
-    masters: [(Master, Step); MASTERS],
+    masters: [(MasterCore, Step); MASTERS],
     clients: [Client; CLIENTS],
-    requests: [Request; CLIENTS],
+    requests: [SyncRequest; CLIENTS],
     /// The decision word.
     word: Option<(u64, usize)>,
     /// What each candidate has written: as many values as its ring keeps.
-    slots: [Vec<Response>; MASTERS],
+    slots: [Vec<SyncResponse>; MASTERS],
     /// The word that each client has read and not yet followed to a slot.
     looks: [Option<(u64, usize)>; CLIENTS],
     /// What each client took.
-    taken: [Vec<Response>; CLIENTS],
+    taken: [Vec<SyncResponse>; CLIENTS],
 }
 
 fn id(number: usize) -> ClientId {
@@ -74,7 +74,9 @@ impl State {
         Self {
             now: 1_000_000,
             deaths: 0,
-            masters: core::array::from_fn(|k| (Master::new(CONFIG, id(k)).unwrap(), Step::Look)),
+            masters: core::array::from_fn(|k| {
+                (MasterCore::new(CONFIG, id(k)).unwrap(), Step::Look)
+            }),
             requests: core::array::from_fn(|k| Client::new(id(k), 1).request(0)),
             clients,
             word: None,
@@ -84,7 +86,7 @@ impl State {
         }
     }
 
-    fn decided(&self, word: Option<(u64, usize)>) -> Option<Response> {
+    fn decided(&self, word: Option<(u64, usize)>) -> Option<SyncResponse> {
         let (cycle, master) = word?;
         self.slots[master]
             .iter()
@@ -163,7 +165,7 @@ impl State {
             if self.deaths < DEATHS {
                 let mut next = self.clone();
                 next.deaths += 1;
-                next.masters[which] = (Master::new(CONFIG, id(which)).unwrap(), Step::Look);
+                next.masters[which] = (MasterCore::new(CONFIG, id(which)).unwrap(), Step::Look);
                 all.push(next);
             }
         }
@@ -179,7 +181,8 @@ impl State {
     /// No two clients have taken different answers for one cycle, and no client took one twice.
     fn is_right(&self) -> bool {
         let mut all = self.taken.iter().flatten();
-        let is_same = |one: &Response, other: &Response| one.cycle != other.cycle || one == other;
+        let is_same =
+            |one: &SyncResponse, other: &SyncResponse| one.cycle != other.cycle || one == other;
         self.taken
             .iter()
             .all(|taken| taken.windows(2).all(|two| two[0].cycle < two[1].cycle))
