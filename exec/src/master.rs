@@ -202,7 +202,13 @@ impl MasterCore {
                 tell(Event::Restarted(from));
             } else if request.cycle == before.cycle {
                 return tell(Event::Disagrees(from, Lie::Twice));
+            } else if request.cycle < before.cycle {
+                return tell(Event::Disagrees(from, Lie::Cycle));
             }
+        }
+        // A lie is not kept: it delays no other client, and the truth may still follow.
+        if let Some(lie) = self.lie(request) {
+            return tell(Event::Disagrees(from, lie));
         }
         self.first_request_at.get_or_insert(now);
         let is_member = self.members().contains(from);
@@ -212,9 +218,7 @@ impl MasterCore {
             // It runs again: the others wait for it until the deadline, so that it can join.
             seen.silent = 0;
         }
-        if let Some(lie) = self.lie(request) {
-            tell(Event::Disagrees(from, lie));
-        } else if request.cycle > 0 && request.cycle < self.cycle() {
+        if request.cycle > 0 && request.cycle < self.cycle() {
             tell(Event::Late(from, self.cycle() - request.cycle));
         }
     }
