@@ -6,7 +6,7 @@
 
 use tandem_board::{Duration, Instant};
 
-use crate::message::{Activation, ClientId, Request, Response};
+use crate::message::{Activation, ClientId, SyncRequest, SyncResponse};
 
 /// SplitMix64: the generator of G. L. Steele, D. Lea and C. H. Flood, "Fast splittable pseudorandom
 /// number generators" (OOPSLA 2014), with the constants of `java.util.SplittableRandom`. It is
@@ -110,7 +110,7 @@ pub struct Client {
     is_done: bool,
     random: Random,
     /// The response for the next activation, and its overrun.
-    taken: Option<(Response, Duration)>,
+    taken: Option<(SyncResponse, Duration)>,
 }
 
 impl Client {
@@ -143,8 +143,8 @@ impl Client {
 
     /// Returns the request that ends the current activation. `output`: the digest of its outputs.
     #[must_use]
-    pub const fn request(&self, output: u64) -> Request {
-        Request {
+    pub const fn request(&self, output: u64) -> SyncRequest {
+        SyncRequest {
             client: self.id,
             generation: self.generation,
             cycle: self.cycle,
@@ -160,7 +160,11 @@ impl Client {
     ///
     /// # Errors
     /// [`NotTaken`]: wait for another response.
-    pub fn on_response(&mut self, now: Instant, response: &Response) -> Result<Instant, NotTaken> {
+    pub fn on_response(
+        &mut self,
+        now: Instant,
+        response: &SyncResponse,
+    ) -> Result<Instant, NotTaken> {
         if self.taken.is_some() || response.cycle <= self.cycle {
             return Err(NotTaken::Stale);
         }
@@ -238,8 +242,8 @@ mod tests {
         ClientId::new(number).unwrap()
     }
 
-    fn response(cycle: u64, code: Activation) -> Response {
-        Response {
+    fn response(cycle: u64, code: Activation) -> SyncResponse {
+        SyncResponse {
             master: id(0),
             cycle,
             activation: MS(10 * cycle),
@@ -253,7 +257,7 @@ mod tests {
     }
 
     /// Takes a response in time and is activated at its time.
-    fn activate(client: &mut Client, response: &Response) -> Activated {
+    fn activate(client: &mut Client, response: &SyncResponse) -> Activated {
         let at = response.activation;
         assert_eq!(client.on_response(MS(0), response), Ok(at));
         client.activate(at).unwrap()
@@ -304,7 +308,7 @@ mod tests {
         let after = activate(&mut client, &response(5, Activation::Init));
         assert_eq!((after.missed, after.overrun), (2, Duration::ZERO));
         assert!(!after.is_punctual());
-        let skipped = Response {
+        let skipped = SyncResponse {
             skipped: 3,
             ..response(6, Activation::Run)
         };
@@ -328,7 +332,7 @@ mod tests {
         assert_eq!(client.activate(MS(10)), None);
         assert_eq!(client.on_response(MS(10), &first), Err(NotTaken::Stale));
         for at in [MS(10), MS(9), MS(10_011), Instant::NEVER] {
-            let wrong = Response {
+            let wrong = SyncResponse {
                 activation: at,
                 ..second
             };
@@ -381,21 +385,28 @@ mod tests {
         /// Shared memory is hostile: any words decode without a panic, and what decodes is stored
         /// as the same words.
         #[test]
-        fn any_words_are_decoded_or_refused(mut words: [u32; 8], head in 0_u32..1 << 18, kind in 0..3) {
+        fn any_words_are_decoded_or_refused(
+            mut words: [u32; 8],
+            head in 0_u32..1 << 18,
+            kind in 0..3,
+        ) {
             if kind > 0 {
                 words[0] = (0xD0 + kind as u32) << 24 | head;
             }
-            check::<Request>(words);
-            check::<Response>(words);
+            check::<SyncRequest>(words);
+            check::<SyncResponse>(words);
         }
 
         /// A response that was not meant for it never takes a client back in cycle or time.
         #[test]
-        fn cycles_and_times_only_increase(words in prop::collection::vec((any::<u32>(), 0_u32..6, 0_u32..9), 1..40)) {
+        fn cycles_and_times_only_increase(
+            words in prop::collection::vec((any::<u32>(), 0_u32..6, 0_u32..9), 1..40),
+        ) {
             let mut client = Client::new(id(1), 1);
             let mut last = (0, Instant::ORIGIN);
             for (random, cycle, ms) in words {
-                let mut response = response(u64::from(cycle) + 1, Activation::ALL[random as usize % 5]);
+                let code = Activation::ALL[random as usize % 5];
+                let mut response = response(u64::from(cycle) + 1, code);
                 response.activation = MS(u64::from(ms));
                 if client.on_response(MS(4), &response).is_ok() {
                     client.activate(MS(9)).unwrap();
@@ -416,7 +427,9 @@ mod tests {
     fn impossible_words_are_refused() {
         let request: [u32; 8] = [0xD100_0401, 1, 5, 0, 9, 0, 7, 0];
         let response: [u32; 8] = [0xD200_0401, 0x0000_0403, 5, 0, 9, 0, 7, 0];
-        assert!(decode::<Request>(request).is_some() && decode::<Response>(response).is_some());
+        assert!(
+            decode::<SyncRequest>(request).is_some() && decode::<SyncResponse>(response).is_some()
+        );
         let wrong_requests = [
             (0, 0xD200_0401),
             (0, 0xD100_0408),
@@ -429,7 +442,7 @@ mod tests {
         {
             let mut words = request;
             words[at] = word;
-            assert!(decode::<Request>(words).is_none(), "{at} {word:x}");
+            assert!(decode::<SyncRequest>(words).is_none(), "{at} {word:x}");
         }
         let wrong_responses = [(0, 0xD100_0401), (0, 0xD200_0408), (0, 0xD200_0001)];
         for (at, word) in wrong_responses
@@ -438,7 +451,7 @@ mod tests {
         {
             let mut words = response;
             words[at] = word;
-            assert!(decode::<Response>(words).is_none(), "{at} {word:x}");
+            assert!(decode::<SyncResponse>(words).is_none(), "{at} {word:x}");
         }
     }
 

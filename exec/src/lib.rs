@@ -3,13 +3,13 @@
 //!
 //! A cycle has four steps:
 //!
-//! 1. Each client has executed activation `n`. It sends a [`Request`](message::Request): who it is,
-//!    what it was activated for, and the digest of its outputs.
-//! 2. The [`Master`](master::Master) waits for all clients, or for M of N until a deadline. The
+//! 1. Each client has executed activation `n`. It sends a request ([`message`]): who it is, what it
+//!    was activated for, and the digest of its outputs.
+//! 2. The [`master`] waits for all clients, or for M of N until a deadline. The
 //!    [`lockstep`] compares the outputs. So a client that deviates in activation `n` is found
 //!    before an output of `n` counts.
-//! 3. The master proposes a [`Response`](message::Response): time and code of activation `n + 1`,
-//!    and whose outputs count. The transport decides between masters (see [`master`]).
+//! 3. The master proposes a response: time and code of activation `n + 1`, and whose outputs count.
+//!    The transport decides between masters (see [`master`]).
 //! 4. Each [`Client`](client::Client) wakes at that time. All get the same numbers from `random`.
 //!
 //! The numbers SWS_EM_013xx are those of AUTOSAR R21-11; R23-11 calls this part obsolete.

@@ -7,7 +7,7 @@ use crate::message::{ClientId, Clients};
 
 /// What the outputs of one activation show.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum Agreement {
     /// More than half of the outputs are equal, and they are enough.
     Agreed {
         /// Their digest.
@@ -24,7 +24,7 @@ pub enum Verdict {
 /// Compares the outputs of one activation: who computed which digest. A majority counts if it has
 /// at least `quorum` clients. A client must not occur twice.
 #[must_use]
-pub fn compare(outputs: impl Iterator<Item = (ClientId, u64)> + Clone, quorum: usize) -> Verdict {
+pub fn compare(outputs: impl Iterator<Item = (ClientId, u64)> + Clone, quorum: usize) -> Agreement {
     // The majority vote of R. S. Boyer and J S. Moore, "MJRTY" (1991): the only candidate that can
     // have a majority is the one that is left when unequal pairs are taken out.
     let (mut candidate, mut lead) = (0, 0_usize);
@@ -45,13 +45,13 @@ pub fn compare(outputs: impl Iterator<Item = (ClientId, u64)> + Clone, quorum: u
     };
     let (agreeing, deviating) = (of(true), of(false));
     if agreeing.len() > deviating.len() && agreeing.len() >= quorum {
-        Verdict::Agreed {
+        Agreement::Agreed {
             output: candidate,
             agreeing,
             deviating,
         }
     } else {
-        Verdict::NoMajority
+        Agreement::NoMajority
     }
 }
 
@@ -60,9 +60,9 @@ pub fn compare(outputs: impl Iterator<Item = (ClientId, u64)> + Clone, quorum: u
 /// Each step is a bijection of the state, so outputs that differ in bits of one byte always have
 /// different digests; others have equal ones with a probability of 2^-64.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Output(u64);
+pub struct OutputDigest(u64);
 
-impl Output {
+impl OutputDigest {
     /// No outputs.
     pub const NONE: Self = Self(0xCBF2_9CE4_8422_2325);
 
@@ -90,10 +90,10 @@ mod tests {
     fn judge(outputs: &[u64], quorum: usize) -> Option<(u64, Vec<usize>)> {
         let clients = ClientId::first(outputs.len()).zip(outputs.iter().copied());
         match compare(clients, quorum) {
-            Verdict::Agreed {
+            Agreement::Agreed {
                 output, deviating, ..
             } => Some((output, deviating.iter().map(ClientId::index).collect())),
-            Verdict::NoMajority => None,
+            Agreement::NoMajority => None,
         }
     }
 
@@ -125,7 +125,7 @@ mod tests {
     fn a_bit_flip_changes_the_digest() {
         let words: [u32; 24] = core::array::from_fn(|k| (k as u32).wrapping_mul(0x9E37_79B9));
         let digest = |words: &[u32]| {
-            let mut output = Output::NONE;
+            let mut output = OutputDigest::NONE;
             words.iter().for_each(|word| output.add(*word));
             output.digest()
         };

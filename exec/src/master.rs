@@ -19,14 +19,14 @@
 //! |---|---|
 //! | was not heard in time | told as [`Event::Silent`]; after 3 in a row no member |
 //! | sends for an earlier cycle | told as [`Event::Late`]; not counted |
-//! | sends another time or code than was decided, a cycle that was not, or two outputs for one | told as [`Event::Disagrees`]; not counted |
+//! | contradicts a decision or itself ([`Lie`]) | told as [`Event::Disagrees`]; not counted |
 //! | computed something else | excluded until it is restarted |
 //! | was restarted, or was no member | a member after 8 activations with equal outputs |
 
 use tandem_board::{Duration, Instant};
 
-use crate::lockstep::{Verdict, compare};
-use crate::message::{Activation, ClientId, Clients, MAX_CLIENTS, Request, Response};
+use crate::lockstep::{Agreement, compare};
+use crate::message::{Activation, ClientId, Clients, MAX_CLIENTS, SyncRequest, SyncResponse};
 
 /// A member that is not heard in so many activations in a row is no member.
 const SILENT_LIMIT: u32 = 3;
@@ -115,7 +115,7 @@ pub enum Event {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 struct Seen {
-    request: Option<Request>,
+    request: Option<SyncRequest>,
     /// Activations in a row without a request in time.
     silent: u32,
     /// Activations in a row with equal outputs while it was no member.
@@ -124,10 +124,10 @@ struct Seen {
 
 /// One candidate.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Master {
+pub struct MasterCore {
     config: Config,
     id: ClientId,
-    last: Option<Response>,
+    last: Option<SyncResponse>,
     seen: [Seen; MAX_CLIENTS],
     /// Clients that were started again since a decision last counted them.
     restarted: Clients,
@@ -142,14 +142,14 @@ pub struct Master {
 /// What a candidate does next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
-pub struct Next {
+pub struct NextPoll {
     /// Propose this answer now.
-    pub propose: Option<Response>,
+    pub propose: Option<SyncResponse>,
     /// Poll again at this time, or after a request or a decision.
     pub wake: Instant,
 }
 
-impl Master {
+impl MasterCore {
     /// A candidate that has seen nothing; `None` if the numbers do not fit.
     #[must_use]
     pub fn new(config: Config, id: ClientId) -> Option<Self> {
@@ -168,7 +168,7 @@ impl Master {
 
     /// Returns the last decision that this candidate has seen.
     #[must_use]
-    pub const fn last(&self) -> Option<&Response> {
+    pub const fn last(&self) -> Option<&SyncResponse> {
         self.last.as_ref()
     }
 
@@ -178,12 +178,12 @@ impl Master {
     }
 
     /// Takes a request from the mailbox of `from`. One that was taken before changes nothing.
-    /// First call [`Master::on_decided`] with a decision that was read before the request.
+    /// First call [`MasterCore::on_decided`] with a decision that was read before the request.
     pub fn on_request(
         &mut self,
         now: Instant,
         from: ClientId,
-        request: &Request,
+        request: &SyncRequest,
         tell: &mut impl FnMut(Event),
     ) {
         if request.client != from || from.index() >= self.config.clients {
@@ -202,7 +202,13 @@ impl Master {
                 tell(Event::Restarted(from));
             } else if request.cycle == before.cycle {
                 return tell(Event::Disagrees(from, Lie::Twice));
+            } else if request.cycle < before.cycle {
+                return tell(Event::Disagrees(from, Lie::Cycle));
             }
+        }
+        // A lie is not kept: it delays no other client, and the truth may still follow.
+        if let Some(lie) = self.lie(request) {
+            return tell(Event::Disagrees(from, lie));
         }
         self.first_request_at.get_or_insert(now);
         let is_member = self.members().contains(from);
@@ -212,15 +218,13 @@ impl Master {
             // It runs again: the others wait for it until the deadline, so that it can join.
             seen.silent = 0;
         }
-        if let Some(lie) = self.lie(request) {
-            tell(Event::Disagrees(from, lie));
-        } else if request.cycle > 0 && request.cycle < self.cycle() {
+        if request.cycle > 0 && request.cycle < self.cycle() {
             tell(Event::Late(from, self.cycle() - request.cycle));
         }
     }
 
     /// Takes a decision: its own, or that of another candidate. An earlier one changes nothing.
-    pub fn on_decided(&mut self, response: &Response, tell: &mut impl FnMut(Event)) {
+    pub fn on_decided(&mut self, response: &SyncResponse, tell: &mut impl FnMut(Event)) {
         if response.cycle <= self.cycle() {
             return;
         }
@@ -250,7 +254,7 @@ impl Master {
     }
 
     /// Counts what one client did in the cycle that this decision ends.
-    fn note(&mut self, client: ClientId, response: &Response, tell: &mut impl FnMut(Event)) {
+    fn note(&mut self, client: ClientId, response: &SyncResponse, tell: &mut impl FnMut(Event)) {
         let (was, is) = (
             self.members().contains(client),
             response.members.contains(client),
@@ -290,8 +294,8 @@ impl Master {
     }
 
     /// Returns what to do at this time.
-    pub fn poll(&mut self, now: Instant) -> Next {
-        let idle = |wake| Next {
+    pub fn poll(&mut self, now: Instant) -> NextPoll {
+        let idle = |wake| NextPoll {
             propose: None,
             wake,
         };
@@ -319,7 +323,7 @@ impl Master {
         if now < at {
             return idle(at);
         }
-        Next {
+        NextPoll {
             propose: Some(self.answer(now)),
             wake: Instant::NEVER,
         }
@@ -332,7 +336,7 @@ impl Master {
         ((self.id.index() + count - current) % count) as u32
     }
 
-    fn answer(&self, now: Instant) -> Response {
+    fn answer(&self, now: Instant) -> SyncResponse {
         let outputs = self
             .requests()
             .map(|(client, request)| (client, request.output));
@@ -343,7 +347,7 @@ impl Master {
             _ if self.last.is_none() => {
                 members = self.requests().map(|(client, _)| client).collect()
             }
-            Verdict::Agreed {
+            Agreement::Agreed {
                 output, deviating, ..
             } => {
                 agreed = output;
@@ -352,7 +356,7 @@ impl Master {
                     excluded.insert(client);
                 }
             }
-            Verdict::NoMajority => return self.safe_state(now),
+            Agreement::NoMajority => return self.safe_state(now),
         }
         for client in ClientId::first(self.config.clients) {
             let seen = &self.seen[client.index()];
@@ -370,7 +374,7 @@ impl Master {
             }
         }
         let (activation, skipped) = self.next_time(now);
-        Response {
+        SyncResponse {
             code: self.next_code(),
             is_safe_state: false,
             members,
@@ -382,8 +386,8 @@ impl Master {
         }
     }
 
-    fn safe_state(&self, now: Instant) -> Response {
-        Response {
+    fn safe_state(&self, now: Instant) -> SyncResponse {
+        SyncResponse {
             master: self.id,
             cycle: self.cycle().saturating_add(1),
             activation: now + self.config.lead,
@@ -442,7 +446,7 @@ impl Master {
     }
 
     /// Returns how this request contradicts the last decision. One for an earlier cycle does not.
-    fn lie(&self, request: &Request) -> Option<Lie> {
+    fn lie(&self, request: &SyncRequest) -> Option<Lie> {
         let is_member = self.members().contains(request.client);
         match self.last {
             _ if request.cycle > self.cycle() => Some(Lie::Cycle),
@@ -459,14 +463,14 @@ impl Master {
     }
 
     /// Returns the client's request if it ends the last activation.
-    fn in_time(&self, client: ClientId) -> Option<&Request> {
+    fn in_time(&self, client: ClientId) -> Option<&SyncRequest> {
         let request = self.seen[client.index()].request.as_ref()?;
         let is_same = request.code == self.last.map(|last| last.code);
         (is_same && self.is_heard(client)).then_some(request)
     }
 
     /// Returns the requests that count.
-    fn requests(&self) -> impl Iterator<Item = (ClientId, &Request)> + Clone {
+    fn requests(&self) -> impl Iterator<Item = (ClientId, &SyncRequest)> + Clone {
         let members = self
             .members()
             .iter()

@@ -146,7 +146,7 @@ impl Activation {
 
 /// What a client says when it waits for its next activation. SWS_EM_01325
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Request {
+pub struct SyncRequest {
     /// Who asks.
     pub client: ClientId,
     /// Which start of this client, from 1. A greater number means that it was restarted.
@@ -167,7 +167,7 @@ pub struct Request {
 
 /// What the master answers to all clients. SWS_EM_01326
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Response {
+pub struct SyncResponse {
     /// The master that answers.
     pub master: ClientId,
     /// Number of the activation, from 1.
@@ -216,12 +216,13 @@ fn head(word: u32, mark: u32, flags: u32) -> Result<(ClientId, u32), Corrupt> {
     Ok((client, word >> 8 & 0xFF))
 }
 
-impl Payload for Request {
+impl Payload for SyncRequest {
     const WORDS: usize = 8;
 
     fn store(&self, put: &mut impl FnMut(u32)) {
         let code = self.code.map_or(0, |code| code as u32);
-        let flags = u32::from(self.is_lost) * LOST | u32::from(self.is_done) * DONE;
+        let [lost, done] = [self.is_lost, self.is_done].map(u32::from);
+        let flags = (lost * LOST) | (done * DONE);
         put(REQUEST_MARK | flags | code << 8 | u32::from(self.client.0));
         put(self.generation);
         put_u64(self.cycle, put);
@@ -250,7 +251,7 @@ impl Payload for Request {
     }
 }
 
-impl Payload for Response {
+impl Payload for SyncResponse {
     const WORDS: usize = 8;
 
     fn store(&self, put: &mut impl FnMut(u32)) {

@@ -1,5 +1,5 @@
 //! Counts how many plans of core 2 are bit-equal in both systems, and what differs in the others.
-//! Arguments: seconds; then scenarios, without any the embedded ones.
+//! Arguments: seconds; drift of B's clock, ppb; then scenarios, without any the embedded ones.
 #![allow(clippy::print_stdout, reason = "its output is its purpose")]
 
 use std::cell::RefCell;
@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use tandem_board::{Board, CoreId, Duration, Instant};
-use tandem_board_sim::{Poller, SimBoard};
-use tandem_cores::driving::types::{Scene, Trajectory};
+use tandem_board_sim::{Config, Poller, SimBoard};
+use tandem_cores::driving::types::{Object, Scene, Trajectory};
 use tandem_cores::layout::{ControllerMap, SCENE, TRAJECTORY};
 use tandem_cores::words::Payload;
 use tandem_sim::drive::{Drive, poller};
@@ -52,14 +52,37 @@ fn words(value: &impl Payload) -> Vec<u32> {
 fn differences(a: &Scene, b: &Scene, late_ns: i64) -> Vec<&'static str> {
     let ego = [a, b].map(|scene| format!("{:?}", scene.ego));
     let lanes = [a, b].map(|scene| format!("{:?}", scene.lanes));
-    let objects = [a, b].map(|scene| format!("{:?}", scene.objects));
+    let objects = |part: fn(&Object) -> String| {
+        [a, b].map(|scene| scene.objects.iter().map(part).collect::<Vec<_>>())
+    };
+    let differs = |part| {
+        let [one, two] = objects(part);
+        one != two
+    };
     let parts = [
         ("instant", late_ns != 0),
         ("missing", a.missing != b.missing),
         ("camera line", a.camera.c != b.camera.c),
         ("ego", ego[0] != ego[1]),
         ("lanes", lanes[0] != lanes[1]),
-        ("objects", objects[0] != objects[1]),
+        ("objects' number", a.objects.len() != b.objects.len()),
+        ("ids", differs(|it| it.id.to_string())),
+        ("places", differs(|it| format!("{} {}", it.x, it.y))),
+        ("velocities", differs(|it| format!("{} {}", it.vx, it.vy))),
+        (
+            "accelerations",
+            differs(|it| format!("{} {}", it.ax, it.ay)),
+        ),
+        ("sizes", differs(|it| format!("{} {}", it.length, it.width))),
+        (
+            "others",
+            differs(|it| {
+                format!(
+                    "{:?} {} {} {}",
+                    it.class, it.lane, it.cuts_in, it.approaching
+                )
+            }),
+        ),
     ];
     parts
         .into_iter()
@@ -79,6 +102,10 @@ fn main() {
         .next()
         .and_then(|text| text.parse().ok())
         .unwrap_or(60_u64);
+    let drift_ppb = arguments
+        .next()
+        .and_then(|text| text.parse().ok())
+        .unwrap_or(0);
     let mut scenarios: Vec<String> = arguments.collect();
     if scenarios.is_empty() {
         scenarios = Scenario::names().map(str::to_owned).collect();
@@ -86,7 +113,12 @@ fn main() {
     for scenario in scenarios {
         let plans = Plans::default();
         let (kept, config) = (Rc::clone(&plans), tandem_cores::Config::rt());
-        let mut drive = Drive::with(&scenario, 1, move |board| {
+        let mut settings = Config {
+            seed: 1,
+            ..Config::default()
+        };
+        settings.clocks[1].drift_ppb = drift_ppb;
+        let mut drive = Drive::on_board(&scenario, settings, move |board| {
             let core = poller(board, config);
             if board.identity().core != CoreId::PLANNING {
                 return core;
@@ -101,6 +133,7 @@ fn main() {
 
 fn report(scenario: &str, [a, b]: &[Vec<(Scene, Trajectory)>; 2]) {
     let (mut pairs, mut equal, mut same_scene, mut offsets) = (0_usize, 0_usize, 0_usize, vec![]);
+    let (mut last, mut last_plan) = (0, 0);
     let mut why = BTreeMap::<String, usize>::new();
     let mut apart = [vec![], vec![]];
     // The clocks of the systems have different origins. Both hear the same camera lines.
@@ -119,8 +152,38 @@ fn report(scenario: &str, [a, b]: &[Vec<(Scene, Trajectory)>; 2]) {
         pairs += 1;
         offsets.push(late(other).unsigned_abs());
         equal += usize::from(content(plan.clone()) == content(other.clone()));
-        let found = differences(scene, other_scene, late(other));
+        let mut found = differences(scene, other_scene, late(other));
         same_scene += usize::from(found.is_empty());
+        let parts = [
+            (
+                "PLAN: maneuver",
+                format!("{:?}", plan.maneuver) != format!("{:?}", other.maneuver),
+            ),
+            (
+                "PLAN: memory",
+                format!("{:?}", plan.memory) != format!("{:?}", other.memory),
+            ),
+            (
+                "PLAN: points",
+                format!("{:?}", plan.points) != format!("{:?}", other.points),
+            ),
+        ];
+        found.extend(
+            parts
+                .into_iter()
+                .filter_map(|(name, differs)| differs.then_some(name)),
+        );
+        if !found.is_empty() {
+            last = last.max(pairs);
+            if plan
+                .points
+                .iter()
+                .zip(&other.points)
+                .any(|(one, two)| one != two)
+            {
+                last_plan = pairs;
+            }
+        }
         *why.entry(found.join(", ")).or_default() += 1;
         let points = plan.points.iter().zip(&other.points);
         let far = points
@@ -154,6 +217,7 @@ fn report(scenario: &str, [a, b]: &[Vec<(Scene, Trajectory)>; 2]) {
             all.last()
         );
     }
+    println!("    the last that differs: number {last}; in its points: {last_plan}");
     for (why, count) in why {
         println!("    {count:6} differ in: {why}");
     }

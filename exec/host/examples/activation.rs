@@ -15,7 +15,7 @@ use tandem_board_host::realtime::{Claim, claim};
 use tandem_board_host::{clock, isolation};
 use tandem_exec::master::Config;
 use tandem_exec::message::{Activation, ClientId};
-use tandem_exec_host::sync::{Place, SyncClient, SyncMaster, Wait};
+use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace, Wait};
 
 const CLIENTS: usize = 2;
 /// A watching thread that wakes later than this was stalled.
@@ -46,7 +46,7 @@ fn main() -> ExitCode {
         ["overruns", seconds] => return overruns(number(seconds)),
         ["--master", run, period_us] => {
             bind(60, None);
-            let place = Place::open(&run.parse().unwrap(), "sync").unwrap();
+            let place = SyncPlace::open(&run.parse().unwrap(), "sync").unwrap();
             let first = ClientId::new(0).unwrap();
             let mut master = SyncMaster::attach(place, config(number(period_us)), first).unwrap();
             master.run(|_| {}, || false);
@@ -79,7 +79,7 @@ fn bind(priority: u8, cpu: Option<usize>) {
 /// Prints `cycle activation woken floor_at floor_woken overrun skipped missed` for each `Run`.
 fn client(run: &str, id: u64, [period_us, cycles, spin_us]: [u64; 3]) {
     bind(50, Some(id as usize));
-    let place = Place::open(&run.parse().unwrap(), "sync").unwrap();
+    let place = SyncPlace::open(&run.parse().unwrap(), "sync").unwrap();
     let wait = match spin_us {
         0 => Wait::Sleep,
         span => Wait::SpinLast(Duration::from_us(span)),
@@ -116,7 +116,7 @@ fn client(run: &str, id: u64, [period_us, cycles, spin_us]: [u64; 3]) {
 /// Runs one master and the clients. Returns the rows of each client by cycle.
 fn run(period_us: u64, cycles: u64, spin_us: &str) -> Vec<HashMap<u64, [u64; 7]>> {
     let isolation = isolation::enter_shared().unwrap();
-    let _place = Place::create(isolation.run(), "sync").unwrap();
+    let _place = SyncPlace::create(isolation.run(), "sync").unwrap();
     let (run, period, cycles) = (
         isolation.run().as_str(),
         period_us.to_string(),

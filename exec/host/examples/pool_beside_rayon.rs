@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
 use tandem_exec::client::Random;
-use tandem_exec_host::pool::Pool;
+use tandem_exec_host::pool::WorkerPool;
 
 /// `rounds` of work: about 1 ns each.
 fn work(rounds: u64) -> impl Fn(&mut u64, &mut Random) + Copy + Send + Sync + 'static {
@@ -31,7 +31,7 @@ fn main() {
     println!("{workers} workers, {rounds} rounds; µs a run: p50, p99; ratio of the medians");
     for (len, cost) in [(64, 20_000), (1_000, 1_000), (10_000, 100), (1_000, 10_000)] {
         let work = work(cost);
-        let mut pool = Pool::new(workers, len, Duration::from_secs(60), work).unwrap();
+        let mut pool = WorkerPool::new(workers, len, Duration::from_secs(60), work).unwrap();
         let (mut ours, mut theirs) = (vec![], vec![]);
         let mut lists = [vec![1_u64; len], vec![1; len]];
         for seed in 0..rounds {

@@ -25,7 +25,7 @@ pub const MAX_WORKERS: usize = 64;
 
 /// Why a run has no result. The pool stays usable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum RunError {
+pub enum PoolError {
     /// The function panicked for this element, and perhaps for later ones. All other elements were
     /// processed; this one is as the panic left it.
     #[error("the function of the worker pool panicked for element {index}")]
@@ -71,14 +71,14 @@ struct Shared<E, W> {
 }
 
 /// A pool of worker threads for one function. Dropping it ends the threads.
-pub struct Pool<E, W> {
+pub struct WorkerPool<E, W> {
     shared: Arc<Shared<E, W>>,
     workers: Vec<JoinHandle<()>>,
     capacity: usize,
     patience: Duration,
 }
 
-impl<E: Send + 'static, W: Work<E>> Pool<E, W> {
+impl<E: Send + 'static, W: Work<E>> WorkerPool<E, W> {
     /// Starts the workers (1 ..= [`MAX_WORKERS`]; other numbers are cut) for lists of at most
     /// `capacity` elements. A block that takes longer than `patience` ends the process.
     ///
@@ -113,11 +113,11 @@ impl<E: Send + 'static, W: Work<E>> Pool<E, W> {
     /// Blocks; does not allocate.
     ///
     /// # Errors
-    /// [`RunError`]
-    pub fn run(&mut self, elements: &mut Vec<E>, seed: u64) -> Result<(), RunError> {
+    /// [`PoolError`]
+    pub fn run(&mut self, elements: &mut Vec<E>, seed: u64) -> Result<(), PoolError> {
         let (len, capacity) = (elements.len(), self.capacity);
         if len > capacity {
-            return Err(RunError::TooMany { len, capacity });
+            return Err(PoolError::TooMany { len, capacity });
         }
         if len == 0 {
             return Ok(());
@@ -146,7 +146,7 @@ impl<E: Send + 'static, W: Work<E>> Pool<E, W> {
         for slot in slots.iter().take(blocks) {
             elements.append(&mut lock(slot));
         }
-        panicked.map_or(Ok(()), |index| Err(RunError::Panicked { index }))
+        panicked.map_or(Ok(()), |index| Err(PoolError::Panicked { index }))
     }
 
     /// Waits until all blocks are done.
@@ -221,7 +221,7 @@ impl<E, W: Work<E>> Shared<E, W> {
     }
 }
 
-impl<E, W> Drop for Pool<E, W> {
+impl<E, W> Drop for WorkerPool<E, W> {
     fn drop(&mut self) {
         lock(&self.shared.run).is_closing = true;
         self.shared.begun.notify_all();

@@ -13,14 +13,14 @@ use rustix::time::Timespec;
 use tandem_board::{Duration, Instant};
 use tandem_board_host::{RunName, Segment, SegmentError, clock};
 use tandem_exec::client::{Activated, Client};
-use tandem_exec::master::{Config, Event, Lie, Master};
-use tandem_exec::message::{ClientId, MAX_CLIENTS, Request, Response};
+use tandem_exec::master::{Config, Event, Lie, MasterCore};
+use tandem_exec::message::{ClientId, MAX_CLIENTS, SyncRequest, SyncResponse};
 use tandem_shm::newest::{Reader, Writer};
 use tandem_shm::{FitError, Payload as _, Shape, bare, broadcast, newest};
 
-const REQUEST: Shape = Shape::new(4, Request::WORDS);
+const REQUEST: Shape = Shape::new(4, SyncRequest::WORDS);
 /// A proposal that was not decided may follow the decided answer: a reader finds both.
-const ANSWER: Shape = Shape::new(4, Response::WORDS);
+const ANSWER: Shape = Shape::new(4, SyncResponse::WORDS);
 const LINE: usize = 16;
 const DECISION_AT: usize = 0;
 const BELL_AT: usize = LINE;
@@ -36,7 +36,7 @@ const WORDS: usize = ANSWERS_AT + MAX_CLIENTS * ANSWER_WORDS;
 /// not notice it.
 const MASTER_BITS: u32 = 3;
 
-const fn decision(response: &Response) -> u32 {
+const fn decision(response: &SyncResponse) -> u32 {
     (response.cycle as u32) << MASTER_BITS | response.master.index() as u32
 }
 
@@ -45,7 +45,7 @@ const LOOK: Duration = Duration::from_ms(100);
 
 /// Why a process cannot attach.
 #[derive(Debug, thiserror::Error)]
-pub enum PlaceError {
+pub enum SyncPlaceError {
     /// The shared memory is not there, or was refused.
     #[error(transparent)]
     Segment(#[from] SegmentError),
@@ -59,24 +59,24 @@ pub enum PlaceError {
 
 /// The shared memory of one group of redundant clients. Stays mapped until the process ends.
 #[derive(Clone, Copy, Debug)]
-pub struct Place {
+pub struct SyncPlace {
     words: &'static [AtomicU32],
 }
 
-impl Place {
+impl SyncPlace {
     /// Creates the memory. It is removed with the run's files.
     ///
     /// # Errors
-    /// [`PlaceError::Segment`]
-    pub fn create(run: &RunName, name: &str) -> Result<Self, PlaceError> {
+    /// [`SyncPlaceError::Segment`]
+    pub fn create(run: &RunName, name: &str) -> Result<Self, SyncPlaceError> {
         Ok(Self::keep(Segment::create(run, name)?))
     }
 
     /// Maps the memory that another process has created.
     ///
     /// # Errors
-    /// [`PlaceError::Segment`]
-    pub fn open(run: &RunName, name: &str) -> Result<Self, PlaceError> {
+    /// [`SyncPlaceError::Segment`]
+    pub fn open(run: &RunName, name: &str) -> Result<Self, SyncPlaceError> {
         Ok(Self::keep(Segment::open(run, name)?))
     }
 
@@ -110,7 +110,7 @@ impl Place {
 
     /// Returns the answer that the decision word names. `None` if there is none: at the start, or
     /// if the words hold garbage.
-    fn decided(&self, word: u32) -> Option<Response> {
+    fn decided(&self, word: u32) -> Option<SyncResponse> {
         let master = ClientId::new((word & ((1 << MASTER_BITS) - 1)) as usize)?;
         let answers = bare::broadcast_receiver(self.answer_words(master), ANSWER).ok()?;
         let mut answers = answers.from_oldest();
@@ -163,8 +163,8 @@ pub struct NoAnswer;
 #[derive(Debug)]
 pub struct SyncClient {
     client: Client,
-    place: Place,
-    requests: Writer<'static, Request>,
+    place: SyncPlace,
+    requests: Writer<'static, SyncRequest>,
     wait: Wait,
     /// The decision word that was there before this client asked for the first time.
     passed: u32,
@@ -174,8 +174,8 @@ impl SyncClient {
     /// Attaches the client. Each attachment is a new generation.
     ///
     /// # Errors
-    /// [`PlaceError::Layout`]
-    pub fn attach(place: Place, id: ClientId, wait: Wait) -> Result<Self, PlaceError> {
+    /// [`SyncPlaceError::Layout`]
+    pub fn attach(place: SyncPlace, id: ClientId, wait: Wait) -> Result<Self, SyncPlaceError> {
         let starts = &place.words[STARTS_AT + id.index()];
         let generation = starts
             .fetch_add(1, Ordering::Relaxed)
@@ -185,7 +185,7 @@ impl SyncClient {
         Ok(Self {
             client: Client::new(id, generation),
             place,
-            requests: bare::newest_writer(words, REQUEST).map_err(PlaceError::Layout)?,
+            requests: bare::newest_writer(words, REQUEST).map_err(SyncPlaceError::Layout)?,
             wait,
             passed: place.decision().load(Ordering::Relaxed),
         })
@@ -199,7 +199,7 @@ impl SyncClient {
     /// Returns a writer of any words into this client's mailbox, for tests of a client that lies.
     #[doc(hidden)]
     #[must_use]
-    pub fn hostile(&self) -> Writer<'static, [u32; Request::WORDS]> {
+    pub fn hostile(&self) -> Writer<'static, [u32; SyncRequest::WORDS]> {
         let words = self.place.request_words(self.client.id());
         #[allow(clippy::expect_used, reason = "attached once already")]
         bare::newest_writer(words, REQUEST).expect("fits")
@@ -247,11 +247,11 @@ impl SyncClient {
 /// One candidate for the master in this process.
 #[derive(Debug)]
 pub struct SyncMaster {
-    master: Master,
+    master: MasterCore,
     id: ClientId,
-    place: Place,
-    clients: Vec<(ClientId, Reader<'static, Request>)>,
-    answers: broadcast::Writer<'static, Response>,
+    place: SyncPlace,
+    clients: Vec<(ClientId, Reader<'static, SyncRequest>)>,
+    answers: broadcast::Writer<'static, SyncResponse>,
     /// The value of the decision word for the last decision that `master` has taken.
     seen: u32,
 }
@@ -260,9 +260,9 @@ impl SyncMaster {
     /// Attaches the candidate.
     ///
     /// # Errors
-    /// [`PlaceError::Config`], [`PlaceError::Layout`]
-    pub fn attach(place: Place, config: Config, id: ClientId) -> Result<Self, PlaceError> {
-        let master = Master::new(config, id).ok_or(PlaceError::Config)?;
+    /// [`SyncPlaceError::Config`], [`SyncPlaceError::Layout`]
+    pub fn attach(place: SyncPlace, config: Config, id: ClientId) -> Result<Self, SyncPlaceError> {
+        let master = MasterCore::new(config, id).ok_or(SyncPlaceError::Config)?;
         let reader = |client| {
             Ok((
                 client,
@@ -275,14 +275,14 @@ impl SyncMaster {
             master,
             id,
             place,
-            clients: clients.map_err(PlaceError::Layout)?,
-            answers: answers.map_err(PlaceError::Layout)?,
+            clients: clients.map_err(SyncPlaceError::Layout)?,
+            answers: answers.map_err(SyncPlaceError::Layout)?,
             seen: 0,
         })
     }
 
     /// Returns the candidate's logic.
-    pub const fn master(&mut self) -> &mut Master {
+    pub const fn master(&mut self) -> &mut MasterCore {
         &mut self.master
     }
 
@@ -338,7 +338,7 @@ impl SyncMaster {
     fn take(
         &mut self,
         now: Instant,
-        requests: &[Option<Request>; MAX_CLIENTS],
+        requests: &[Option<SyncRequest>; MAX_CLIENTS],
         tell: &mut impl FnMut(Event),
         is_wanted: impl Fn(u64) -> bool,
     ) {

@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test")]
 
 use tandem_board::{Duration, Instant};
-use tandem_exec::master::{Config, Event, Lie, Master};
-use tandem_exec::message::{Activation, ClientId, Request, Response};
+use tandem_exec::master::{Config, Event, Lie, MasterCore};
+use tandem_exec::message::{Activation, ClientId, SyncRequest, SyncResponse};
 
 const fn ms(ms: u64) -> Duration {
     Duration::from_ms(ms)
@@ -26,7 +26,7 @@ fn id(number: usize) -> ClientId {
 
 /// A master with a time of its own, and what it told.
 struct Bench {
-    master: Master,
+    master: MasterCore,
     now: Instant,
     told: Vec<Event>,
     generations: [u32; 3],
@@ -35,7 +35,7 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let now = Instant::ORIGIN + ms(1_000);
-        let master = Master::new(CONFIG, id(0)).unwrap();
+        let master = MasterCore::new(CONFIG, id(0)).unwrap();
         Self {
             master,
             now,
@@ -45,9 +45,9 @@ impl Bench {
     }
 
     /// The request of an honest client that has executed the last decision.
-    fn honest(&self, client: usize) -> Request {
+    fn honest(&self, client: usize) -> SyncRequest {
         let last = self.master.last();
-        Request {
+        SyncRequest {
             client: id(client),
             generation: self.generations[client],
             cycle: last.map_or(0, |last| last.cycle),
@@ -59,7 +59,7 @@ impl Bench {
         }
     }
 
-    fn send(&mut self, request: Request) {
+    fn send(&mut self, request: SyncRequest) {
         let told = &mut self.told;
         self.master
             .on_request(self.now, request.client, &request, &mut |event| {
@@ -68,7 +68,7 @@ impl Bench {
     }
 
     /// Lets the time go on until there is a proposal, decides it, and goes to its activation.
-    fn decide(&mut self) -> Response {
+    fn decide(&mut self) -> SyncResponse {
         let give_up = self.now + ms(1_000);
         while self.now < give_up {
             if let Some(response) = self.master.poll(self.now).propose {
@@ -84,7 +84,7 @@ impl Bench {
     }
 
     /// A cycle in which these clients do what they should.
-    fn cycle(&mut self, clients: &[usize]) -> Response {
+    fn cycle(&mut self, clients: &[usize]) -> SyncResponse {
         clients
             .iter()
             .for_each(|client| self.send(self.honest(*client)));
@@ -154,7 +154,7 @@ fn one_of_three_is_the_safe_state() {
 #[test]
 fn a_deviating_client_is_out_until_it_restarts() {
     let mut bench = Bench::running();
-    bench.send(Request {
+    bench.send(SyncRequest {
         output: 8,
         ..bench.honest(1)
     });
@@ -165,7 +165,7 @@ fn a_deviating_client_is_out_until_it_restarts() {
         assert_eq!(bench.cycle(&[0, 1, 2]).members.len(), 2);
     }
     bench.generations[1] = 2;
-    let first = Request {
+    let first = SyncRequest {
         cycle: 0,
         code: None,
         activation: Instant::ORIGIN,
@@ -179,11 +179,11 @@ fn a_deviating_client_is_out_until_it_restarts() {
         bench.told[1..],
         [Event::Restarted(id(1)), Event::Joined(id(1))]
     );
-    bench.send(Request {
+    bench.send(SyncRequest {
         output: 1,
         ..bench.honest(0)
     });
-    bench.send(Request {
+    bench.send(SyncRequest {
         output: 2,
         ..bench.honest(1)
     });
@@ -193,24 +193,25 @@ fn a_deviating_client_is_out_until_it_restarts() {
 /// Each lie is told by its name and not counted; the two others are answered in time.
 #[test]
 fn lies_are_told_and_not_counted() {
-    let lies: [(Lie, fn(Request) -> Request); 5] = [
-        (Lie::Cycle, |honest| Request {
+    type Lying = fn(SyncRequest) -> SyncRequest;
+    let lies: [(Lie, Lying); 5] = [
+        (Lie::Cycle, |honest| SyncRequest {
             cycle: honest.cycle + 1,
             ..honest
         }),
-        (Lie::Cycle, |honest| Request {
+        (Lie::Cycle, |honest| SyncRequest {
             cycle: u64::MAX,
             ..honest
         }),
-        (Lie::Time, |honest| Request {
+        (Lie::Time, |honest| SyncRequest {
             activation: honest.activation + ms(1),
             ..honest
         }),
-        (Lie::Code, |honest| Request {
+        (Lie::Code, |honest| SyncRequest {
             code: Some(Activation::Init),
             ..honest
         }),
-        (Lie::Generation, |honest| Request {
+        (Lie::Generation, |honest| SyncRequest {
             generation: 0,
             ..honest
         }),
@@ -233,7 +234,7 @@ fn lies_are_told_and_not_counted() {
     assert_eq!(bench.told, [Event::Disagrees(id(2), Lie::Identity)]);
     let (first, twice) = (
         bench.honest(2),
-        Request {
+        SyncRequest {
             output: 9,
             ..bench.honest(2)
         },
@@ -278,7 +279,7 @@ fn a_loss_that_one_alone_reports_is_believed_for_a_while() {
     let mut bench = Bench::running();
     let mut codes = vec![];
     for _ in 0..12 {
-        bench.send(Request {
+        bench.send(SyncRequest {
             is_lost: true,
             ..bench.honest(1)
         });
@@ -310,7 +311,7 @@ fn the_next_candidate_follows_a_dead_master() {
     let last = *bench.master.last().unwrap();
     let requests = [0, 1, 2].map(|client| bench.honest(client));
     for (number, wait) in [(1, 2), (2, 4)] {
-        let mut next = Master::new(CONFIG, id(number)).unwrap();
+        let mut next = MasterCore::new(CONFIG, id(number)).unwrap();
         next.on_decided(&last, &mut |_| {});
         for request in &requests {
             next.on_request(bench.now, request.client, request, &mut |_| {});
@@ -339,12 +340,12 @@ fn the_next_candidate_follows_a_dead_master() {
 #[test]
 fn the_turn_goes_on_from_the_last_master() {
     let bench = Bench::running();
-    let last = Response {
+    let last = SyncResponse {
         master: id(1),
         ..*bench.master.last().unwrap()
     };
     for (number, wait) in [(1, 0), (2, 2), (0, 4)] {
-        let mut next = Master::new(CONFIG, id(number)).unwrap();
+        let mut next = MasterCore::new(CONFIG, id(number)).unwrap();
         next.on_decided(&last, &mut |_| {});
         for client in 0..3 {
             let request = bench.honest(client);
@@ -360,13 +361,13 @@ fn the_turn_goes_on_from_the_last_master() {
 #[test]
 fn enough_that_are_done_end_all() {
     let mut bench = Bench::running();
-    bench.send(Request {
+    bench.send(SyncRequest {
         is_done: true,
         ..bench.honest(1)
     });
     assert_eq!(bench.cycle(&[0, 2]).code, Activation::Run);
     for client in [0, 1] {
-        bench.send(Request {
+        bench.send(SyncRequest {
             is_done: true,
             ..bench.honest(client)
         });
@@ -405,7 +406,7 @@ fn numbers_that_contradict_each_other_are_refused() {
     assert!(
         wrong
             .into_iter()
-            .all(|config| Master::new(config, id(0)).is_none())
+            .all(|config| MasterCore::new(config, id(0)).is_none())
     );
-    assert!(Master::new(CONFIG, id(3)).is_none());
+    assert!(MasterCore::new(CONFIG, id(3)).is_none());
 }

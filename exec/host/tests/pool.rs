@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use tandem_exec::client::Random;
-use tandem_exec_host::pool::{Pool, RunError};
+use tandem_exec_host::pool::{PoolError, WorkerPool};
 
 /// A run on a loaded machine is never mistaken for one that hangs.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -38,7 +38,7 @@ fn results_do_not_depend_on_the_number_of_workers() {
     let lengths = [0, 1, 2, 7, 63, 64, 65, 511, 512, 513, 1000];
     let expected = lengths.map(sequential);
     for workers in 1..=64 {
-        let mut pool = Pool::new(workers, 1000, PATIENCE, work).unwrap();
+        let mut pool = WorkerPool::new(workers, 1000, PATIENCE, work).unwrap();
         for (len, expected) in lengths.into_iter().zip(&expected) {
             let mut elements = start(len);
             assert_eq!(pool.run(&mut elements, SEED), Ok(()));
@@ -50,7 +50,7 @@ fn results_do_not_depend_on_the_number_of_workers() {
 /// E-2: each element has a seed of its own, which depends on the run's seed too.
 #[test]
 fn each_element_has_its_own_seed() {
-    let mut pool = Pool::new(
+    let mut pool = WorkerPool::new(
         3,
         1000,
         PATIENCE,
@@ -76,7 +76,7 @@ fn each_element_has_its_own_seed() {
 #[test]
 fn a_panic_is_an_error_and_the_pool_stays_usable() {
     for workers in [1, 2, 5, 64] {
-        let mut pool = Pool::new(
+        let mut pool = WorkerPool::new(
             workers,
             100,
             PATIENCE,
@@ -92,7 +92,7 @@ fn a_panic_is_an_error_and_the_pool_stays_usable() {
         for _ in 0..3 {
             let mut elements: Vec<u64> = (0..100).collect();
             let panicked = pool.run(&mut elements, SEED);
-            assert_eq!(panicked, Err(RunError::Panicked { index: 30 }));
+            assert_eq!(panicked, Err(PoolError::Panicked { index: 30 }));
             for (index, element) in (0..).zip(elements) {
                 let expected = if [30, 77].contains(&index) {
                     index
@@ -110,9 +110,9 @@ fn a_panic_is_an_error_and_the_pool_stays_usable() {
 
 #[test]
 fn a_list_that_is_too_long_is_refused_untouched() {
-    let mut pool = Pool::new(2, 10, PATIENCE, work).unwrap();
+    let mut pool = WorkerPool::new(2, 10, PATIENCE, work).unwrap();
     let mut elements = start(11);
-    let refused = Err(RunError::TooMany {
+    let refused = Err(PoolError::TooMany {
         len: 11,
         capacity: 10,
     });
@@ -128,9 +128,11 @@ const HANGS: &str = "TANDEM_TEST_POOL_HANGS";
 fn a_worker_that_hangs_ends_the_process() {
     if std::env::var_os(HANGS).is_some() {
         let patience = Duration::from_millis(200);
-        let mut pool = Pool::new(3, 64, patience, |element: &mut u64, _: &mut Random| {
-            while *element == 17 {
-                std::thread::sleep(Duration::from_millis(10));
+        let mut pool = WorkerPool::new(3, 64, patience, |element: &mut u64, _: &mut Random| {
+            if *element == 17 {
+                loop {
+                    std::thread::park();
+                }
             }
         })
         .unwrap();

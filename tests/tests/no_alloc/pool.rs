@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use tandem_exec::client::Random;
-use tandem_exec_host::pool::Pool;
+use tandem_exec_host::pool::WorkerPool;
 
 use crate::allocator::{counted, watch_this_thread};
 
@@ -17,7 +17,7 @@ static REQUESTS: AtomicU64 = AtomicU64::new(0);
 fn a_run_of_the_worker_pool_does_not_allocate() {
     for workers in [1, 2, 7] {
         let patience = Duration::from_secs(60);
-        let mut pool = Pool::new(
+        let mut pool = WorkerPool::new(
             workers,
             500,
             patience,

@@ -132,7 +132,7 @@ fn killed_client() {
 fn frozen_client() {
     let group = Group::new(SHORT);
     let mut master = group.master(0);
-    let [mut zero, one, mut two] = group.clients(["-"; 3]);
+    let [mut zero, one, two] = group.clients(["-"; 3]);
     zero.skip(10);
     two.signal(Signal::STOP);
     master.until_has("Silent(ClientId(2))");

@@ -10,7 +10,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use tandem_board::Duration;
 use tandem_board_host::{Isolation, isolation};
 use tandem_exec::master::Config;
-use tandem_exec_host::sync::Place;
+use tandem_exec_host::sync::SyncPlace;
 
 use crate::roles::{ROLE, text};
 
@@ -121,14 +121,14 @@ impl Drop for Process {
 pub(crate) struct Group {
     isolation: Isolation,
     config: Config,
-    pub(crate) place: Place,
+    pub(crate) place: SyncPlace,
     pub(crate) folder: tempfile::TempDir,
 }
 
 impl Group {
     pub(crate) fn new(config: Config) -> Self {
         let isolation = isolation::enter_shared().unwrap();
-        let place = Place::create(isolation.run(), "sync").unwrap();
+        let place = SyncPlace::create(isolation.run(), "sync").unwrap();
         let folder = tempfile::tempdir().unwrap();
         Self {
             isolation,

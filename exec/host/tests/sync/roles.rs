@@ -7,10 +7,10 @@ use std::time::Duration as Time;
 use rustix::process::{Signal, set_parent_process_death_signal};
 use tandem_board::{CanId, Duration};
 use tandem_exec::client::{Activated, Standing};
-use tandem_exec::lockstep::Output;
+use tandem_exec::lockstep::OutputDigest;
 use tandem_exec::master::Config;
-use tandem_exec::message::{Activation, ClientId, Request};
-use tandem_exec_host::sync::{Place, SyncClient, SyncMaster, Wait};
+use tandem_exec::message::{Activation, ClientId, SyncRequest};
+use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace, Wait};
 use tandem_golden::{Functions, instant};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS};
 use tandem_shm::newest::Writer;
@@ -64,7 +64,7 @@ pub(crate) fn play(args: &[String]) -> ExitCode {
     let [kind, run, place, id, rest @ ..] = args else {
         return ExitCode::FAILURE;
     };
-    let place = Place::open(&run.parse().unwrap(), place).unwrap();
+    let place = SyncPlace::open(&run.parse().unwrap(), place).unwrap();
     let id = ClientId::new(id.parse().unwrap()).unwrap();
     match kind.as_str() {
         "master" => {
@@ -107,7 +107,7 @@ fn tell_activation(now: &Activated, client: &mut SyncClient) {
 
 /// A client that computes from its inputs alone: cycle, time, random number. `script` has items
 /// `flip@cycle`, `lost@cycle` and `done@cycle`.
-fn count(place: Place, id: ClientId, script: &str) {
+fn count(place: SyncPlace, id: ClientId, script: &str) {
     let at = |what: &str| -> u64 {
         let found = script
             .split(',')
@@ -117,13 +117,13 @@ fn count(place: Place, id: ClientId, script: &str) {
     let (flip, lost, done) = (at("flip"), at("lost"), at("done"));
     let mut client = SyncClient::attach(place, id, Wait::Sleep).unwrap();
     tell("ready");
-    let mut output = Output::NONE.digest();
+    let mut output = OutputDigest::NONE.digest();
     while let Ok(now) = client.wait_for_activation(output, GIVE_UP) {
         tell_activation(&now, &mut client);
         if now.code == Activation::Terminate {
             return;
         }
-        let mut words = Output::NONE;
+        let mut words = OutputDigest::NONE;
         words.add(client.client().random() as u32 ^ u32::from(now.cycle == flip));
         words.add(now.cycle as u32);
         output = words.digest();
@@ -138,11 +138,11 @@ fn count(place: Place, id: ClientId, script: &str) {
 
 /// The driving functions over recorded frames: each activation for `Run` is one control cycle.
 /// `flip` is `-`, or `output@n` or `frame@n`: one bit is wrong in the n-th control cycle.
-fn drive(place: Place, id: ClientId, recording: &str, flip: &str) {
+fn drive(place: SyncPlace, id: ClientId, recording: &str, flip: &str) {
     let mut replay = Replay::new(&std::fs::read(recording).unwrap(), flip);
     let mut client = SyncClient::attach(place, id, Wait::Sleep).unwrap();
     tell("ready");
-    let mut output = Output::NONE.digest();
+    let mut output = OutputDigest::NONE.digest();
     while let Ok(now) = client.wait_for_activation(output, GIVE_UP) {
         tell_activation(&now, &mut client);
         match now.code {
@@ -198,7 +198,7 @@ impl Replay {
 
     /// Drives one control cycle, and returns the digest of all that was computed in it.
     pub(crate) fn step(&mut self) -> u64 {
-        let mut output = Output::NONE;
+        let mut output = OutputDigest::NONE;
         let cycle = self.ms / CYCLE_MS;
         while !self.is_over() && self.ms / CYCLE_MS == cycle {
             while let Some(BusFrame { received, .. }) = self.frame()
@@ -242,7 +242,7 @@ fn flip_frame(words: &mut [u32], at: tandem_board::Instant) {
 
 /// A client that writes into its mailbox what it should not: garbage, another's name, cycles that
 /// were never decided, old ones, and two answers for one cycle.
-fn lie(place: Place, id: ClientId) {
+fn lie(place: SyncPlace, id: ClientId) {
     let mut client = SyncClient::attach(place, id, Wait::Sleep).unwrap();
     let honest = client.client().request(0);
     let mut mailbox: Writer<'_, [u32; 8]> = client.hostile();
@@ -253,34 +253,34 @@ fn lie(place: Place, id: ClientId) {
         let random = seed.draw();
         let code = Some(Activation::Run);
         let activation = tandem_board::Instant::from_ns(random);
-        let ahead = Request {
+        let ahead = SyncRequest {
             cycle: random,
             code,
             ..honest
         };
         // A greater generation makes liars of all that follow, so it comes late.
-        let generation = if round < 2_000 {
+        let generation = if round < 200 {
             honest.generation
         } else {
             random as u32 | 1
         };
         let lies = [
             honest,
-            Request {
+            SyncRequest {
                 output: random,
                 ..honest
             },
-            Request {
+            SyncRequest {
                 client: other,
                 ..honest
             },
-            Request {
+            SyncRequest {
                 cycle: u64::MAX,
                 activation,
                 ..ahead
             },
             ahead,
-            Request {
+            SyncRequest {
                 generation,
                 ..ahead
             },
