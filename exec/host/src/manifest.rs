@@ -236,8 +236,8 @@ pub struct SafeState {
     /// Time from SIGTERM to SIGKILL; also the time that each command may take.
     #[serde(deserialize_with = "span::read")]
     pub within: Duration,
-    /// Time without a sign of life from the launcher after which the guardian ends it and cleans up;
-    /// at least 100 ms.
+    /// Time without a sign of life from the launcher after which the guardian ends it and cleans
+    /// up; at least 100 ms.
     #[serde(deserialize_with = "span::read")]
     pub watchdog: Duration,
 }

@@ -5,7 +5,7 @@
 //! | state | left by | to |
 //! |---|---|---|
 //! | off | a target wants it, all it depends on is ready | starting |
-//! | starting | its report, its start or its end with status 0, as the manifest says | ready, finished |
+//! | starting | its report, start or end with status 0, as the manifest says | ready, finished |
 //! | starting, ready | no target wants it, and nothing that depends on it runs | ending |
 //! | starting, ready | it is late, or breaks a rule of its supervision | ending, as failed |
 //! | starting, ready | it ended | pausing or failed; finished if it may end |

@@ -1,5 +1,5 @@
-//! The scenarios of a platform's life, with real processes. Their names are those of the integration
-//! tests of S-CORE's lifecycle (Eclipse, commit eee9685); manifests and programs are ours.
+//! The scenarios of a platform's life, with real processes. Their names are those of the
+//! integration tests of S-CORE's lifecycle (Eclipse, commit eee9685); the programs are ours.
 // A test without the standard harness is no `#[test]`, and processes print.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)]
 

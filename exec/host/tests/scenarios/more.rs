@@ -44,7 +44,8 @@ fn tail() -> String {
         + &target("off", &[])
 }
 
-/// What a process has started ends with it, also in a session of its own, and if it ignores SIGTERM.
+/// What a process has started ends with it, also in a session of its own, and also if it ignores
+/// SIGTERM.
 fn grandchild_does_not_escape() {
     let steps = ["leave-child:child", "ready", "pause"];
     let mut rig = Rig::start(&[
@@ -75,7 +76,8 @@ fn report_of_a_child_is_not_believed() {
     assert!(rig.events(&["liar: ready"]).is_empty());
 }
 
-/// A process that is not state management cannot switch the run target, even if it knows the socket.
+/// A process that is not state management cannot switch the run target, even if it knows the
+/// socket.
 fn only_state_management_switches() {
     let steps = [
         "ready",

@@ -423,6 +423,7 @@ fn switch_run_target() {
         "append:a-ended",
     ];
     let b = [
+        "sleep:50",
         "absent:a-started",
         "append:b-ready",
         "term",
