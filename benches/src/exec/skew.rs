@@ -10,7 +10,7 @@ use std::ops::Range;
 use tandem_board::Duration;
 use tandem_exec::master::Config;
 use tandem_exec::message::{Activation, ClientId};
-use tandem_exec_host::sync::{Place, SyncClient, SyncMaster, Wait};
+use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace, Wait};
 
 /// Period of the cycles, ns.
 const PERIOD_NS: u64 = 1_000_000;
@@ -65,7 +65,7 @@ pub(crate) fn floor(plan: &BatchPlan, spin_ns: u64) -> io::Result<Batch> {
 pub(crate) fn clients(plan: &BatchPlan, wait: Wait) -> io::Result<Batch> {
     let shared = SharedPage::new()?;
     let system = plan.system.ok_or(io::ErrorKind::NotFound)?;
-    let place = Place::create(system.run(), &format!("sync-{}", next_run()));
+    let place = SyncPlace::create(system.run(), &format!("sync-{}", next_run()));
     let place = place.map_err(io::Error::other)?;
     let first = FIRST_CYCLE + plan.warm_up as u64;
     let cycles = first..first + plan.rounds as u64;

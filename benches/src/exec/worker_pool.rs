@@ -10,7 +10,7 @@ use std::hint::black_box;
 use std::io;
 use std::time::Duration;
 use tandem_exec::client::Random;
-use tandem_exec_host::pool::Pool;
+use tandem_exec_host::pool::WorkerPool;
 
 /// Elements of a run.
 const ELEMENTS: usize = 512;
@@ -77,7 +77,7 @@ pub(crate) fn sequential(plan: &BatchPlan) -> io::Result<Batch> {
 pub(crate) fn tandem(plan: &BatchPlan) -> io::Result<Batch> {
     timed(plan, || {
         let work = |element: &mut u64, random: &mut Random| compute(element, random.draw());
-        let mut pool = Pool::new(WORKERS, ELEMENTS, Duration::from_secs(10), work)?;
+        let mut pool = WorkerPool::new(WORKERS, ELEMENTS, Duration::from_secs(10), work)?;
         Ok(move |elements: &mut Vec<u64>| pool.run(elements, 1).map_err(io::Error::other))
     })
 }

@@ -20,7 +20,7 @@ use tandem_exec_host::launcher::{
     self, GuardEnd, GuardPlan, Guardian, NOTHING_STARTED, ProcessLauncher,
 };
 use tandem_exec_host::report;
-use tandem_exec_host::sync::{Place, SyncClient, SyncMaster, Wait};
+use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace, Wait};
 
 /// Redundant clients, candidates for the master.
 pub(crate) const CLIENTS: usize = 3;
@@ -146,7 +146,7 @@ fn stops() -> std::io::Result<UnixStream> {
 fn guardian(run: &RunName, manifest: &Path) -> Done {
     // Also if the test is killed, nothing stays.
     set_parent_process_death_signal(Some(Signal::TERM))?;
-    Place::create(run, PLACE)?;
+    SyncPlace::create(run, PLACE)?;
     let mut command = Command::new("/proc/self/exe");
     command.args(["launcher", run.as_str()]).arg(manifest);
     let plan = GuardPlan {
@@ -179,7 +179,7 @@ fn launcher(manifest: &Path) -> ExitCode {
 }
 
 fn client(run: &RunName, id: usize, log: &str) -> Done {
-    let place = Place::open(run, PLACE)?;
+    let place = SyncPlace::open(run, PLACE)?;
     let id = ClientId::new(id).ok_or("no such client")?;
     let mut log = OpenOptions::new().append(true).create(true).open(log)?;
     let mut client = SyncClient::attach(place, id, Wait::Sleep)?;
@@ -231,7 +231,7 @@ fn compute(client: &mut SyncClient, id: ClientId, activated: &Activated) -> Reco
 }
 
 fn master(run: &RunName, id: usize) -> Done {
-    let place = Place::open(run, PLACE)?;
+    let place = SyncPlace::open(run, PLACE)?;
     let id = ClientId::new(id).ok_or("no such candidate")?;
     let mut master = SyncMaster::attach(place, CONFIG, id)?;
     report::ready()?;
