@@ -88,12 +88,14 @@ fn kills() {
     assert!(wrong.is_empty(), "seed {seed}: {wrong:?}");
 }
 
+type Damage = fn(&mut Record);
+
 /// E-3: the check itself finds each kind of wrong activation.
 fn a_wrong_activation_is_found() {
     let good = check::example();
     assert_eq!(check::check(&good).0, Vec::<String>::new());
     assert!(check::check(&good).1 > 0);
-    let rows: [(&str, fn(&mut Record)); 10] = [
+    let rows: [(&str, Damage); 10] = [
         ("may not follow", |it| it.code = 3),
         ("excluded", |it| it.standing = 2),
         ("without a reason", |it| (it.safe_state, it.code) = (1, 5)),
