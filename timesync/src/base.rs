@@ -364,8 +364,11 @@ impl<S: Scale> TimeBase<S> {
         let noise = servo.noise().saturating_mul(2).saturating_add(2);
         let span = now.as_ns().abs_diff(servo.local().as_ns());
         // A master that follows no living origin may have any rate: its error grows too.
-        let worst = servo.worst_rate();
-        let growth = servo.rate_error() + if self.master.to_gateway { worst } else { 0 };
+        let more = match self.master.to_gateway {
+            true => servo.worst_rate(),
+            false => 0,
+        };
+        let growth = servo.rate_error() + more;
         let grown = noise.saturating_add(grown(growth, span));
         let error = grown.saturating_add(self.master.error.as_ns());
         let (most, left) = self.doubt;

@@ -128,6 +128,7 @@ pub struct UdpChannel {
     group: UdpSocket,
     at: SocketAddrV4,
     everyone: Vec<SocketAddrV4>,
+    channel: Channel,
 }
 
 /// A datagram that was received.
@@ -178,6 +179,7 @@ impl UdpChannel {
             group,
             at,
             everyone,
+            channel,
         })
     }
 
@@ -268,9 +270,14 @@ impl UdpChannel {
     /// Copies the next datagram of another station; `None` if there is none. Never blocks. What
     /// does not fit is cut off.
     pub fn receive(&self, bytes: &mut [u8]) -> Option<UdpHeard> {
-        // The group first: the earliest copy of a datagram to everyone is there, and its time of
-        // arrival counts.
-        for (index, socket) in self.sockets().into_iter().enumerate().rev() {
+        // A participant that leaves tells everyone, after its last samples to one. Of time the
+        // earliest copy counts, which the group has.
+        let order = match self.channel {
+            Channel::Topics => [0, 1],
+            Channel::Time => [1, 0],
+        };
+        for index in order {
+            let socket = self.sockets()[index];
             while let Ok((len, from)) = socket.recv_from(bytes) {
                 if let SocketAddr::V4(from) = from
                     && from != self.at
@@ -346,6 +353,25 @@ mod tests {
             assert!(rest.iter().all(Result::is_ok));
             let full = UdpChannel::open(place, channel).unwrap_err();
             assert_eq!(full.kind(), io::ErrorKind::AddrInUse);
+        }
+    }
+
+    /// D-4, S-2: of topics what is sent to one comes first, of time what is sent to everyone.
+    #[test]
+    fn each_channel_has_its_order() {
+        let interface = Ipv4Addr::new(127, 77, 1, 3);
+        let place = UdpPlace::new(229, interface).unwrap();
+        for (channel, order) in [(Channel::Topics, [1, 2, 1]), (Channel::Time, [1, 1, 2])] {
+            let [from, to] = [(); 2].map(|()| UdpChannel::open(place, channel).unwrap());
+            from.send(Recipient::Everyone, &[1]).unwrap();
+            // On the loopback interface each station also gets a copy of its own.
+            from.send(Recipient::One(to.address()), &[2]).unwrap();
+            let mut bytes = [0; 4];
+            let mut heard = vec![];
+            while to.receive(&mut bytes).is_some() {
+                heard.push(bytes[0]);
+            }
+            assert_eq!(heard, order, "{channel:?}");
         }
     }
 
