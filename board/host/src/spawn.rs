@@ -26,19 +26,22 @@ use crate::clock;
 /// The kernel watches the calling *thread*, so that thread must live as long as the new process.
 pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
     let parent = getpid();
-    let tie = move || {
-        set_parent_process_death_signal(Some(Signal::KILL))?;
-        if getppid() == Some(parent) {
-            Ok(())
-        } else {
-            // The parent died between the fork and this line, so the kernel sends no signal. Return
-            // an error number, because an error text would need an allocation.
-            Err(Errno::SRCH.into())
-        }
-    };
+    let tie = move || bind(Signal::KILL, parent);
     // SAFETY: between fork and exec only system calls are made: no allocation, no lock.
     unsafe { command.pre_exec(tie) };
     detach(command).spawn()
+}
+
+/// In the child: requests this signal for the end of the thread that has started it.
+fn bind(signal: Signal, parent: Pid) -> io::Result<()> {
+    set_parent_process_death_signal(Some(signal))?;
+    if getppid() == Some(parent) {
+        Ok(())
+    } else {
+        // The parent died between the fork and this line, so the kernel sends no signal. Return an
+        // error number, because an error text would need an allocation.
+        Err(Errno::SRCH.into())
+    }
 }
 
 /// Makes this process die with its parent, like [`spawn_bound`], but in the child: the binding is
@@ -79,6 +82,10 @@ pub struct Placement {
     pub groups: Option<Vec<u32>>,
     /// Descriptors that it inherits, beside the standard streams.
     pub keep: Vec<Arc<OwnedFd>>,
+    /// `cgroup.procs` of the control groups that it joins, open for writing.
+    pub join: Vec<Arc<OwnedFd>>,
+    /// The signal that it gets when the calling thread has ended, in any way.
+    pub when_caller_ends: Option<Signal>,
 }
 
 /// A real-time policy.
@@ -99,10 +106,12 @@ pub enum Wish {
     Scheduling,
     /// A limit.
     Limit,
+    /// A control group.
+    Group,
 }
 
 impl Wish {
-    const ALL: [Self; 3] = [Self::Cpus, Self::Scheduling, Self::Limit];
+    const ALL: [Self; 4] = [Self::Cpus, Self::Scheduling, Self::Limit, Self::Group];
 }
 
 /// Starts a process in a process group of its own, with this placement. It can outlive the caller.
@@ -136,6 +145,8 @@ struct Prepared {
     gid: Option<Gid>,
     groups: Option<Vec<Gid>>,
     keep: Vec<Arc<OwnedFd>>,
+    join: Vec<Arc<OwnedFd>>,
+    when_caller_ends: Option<(Signal, Pid)>,
 }
 
 impl Prepared {
@@ -165,6 +176,8 @@ impl Prepared {
             gid: placement.gid.map(Gid::from_raw),
             groups: groups.map(|all| all.into_iter().map(Gid::from_raw).collect()),
             keep: placement.keep.clone(),
+            join: placement.join.clone(),
+            when_caller_ends: placement.when_caller_ends.map(|it| (it, getpid())),
         }
     }
 
@@ -174,6 +187,14 @@ impl Prepared {
             // A full pipe cannot be: there are fewer wishes than it has room.
             let _ = rustix::io::write(tell, &[wish as u8]);
         };
+        // Process 0 is the one that writes.
+        if self
+            .join
+            .iter()
+            .any(|group| rustix::io::write(group, b"0").is_err())
+        {
+            refuse(Wish::Group);
+        }
         if let Some(cpus) = &self.cpus
             && sched_setaffinity(None, cpus).is_err()
         {
@@ -198,10 +219,30 @@ impl Prepared {
         if let Some(uid) = self.uid {
             set_thread_res_uid(uid, uid, uid)?;
         }
+        // A change of the user clears it, so it is set afterwards.
+        if let Some((signal, caller)) = self.when_caller_ends {
+            bind(signal, caller)?;
+        }
+        close_others_at_exec();
         for fd in &self.keep {
             fcntl_setfd(fd, FdFlags::empty())?;
         }
         Ok(())
+    }
+}
+
+/// Makes the program inherit the standard streams only. A descriptor that the caller has inherited
+/// itself may lack close-on-exec.
+fn close_others_at_exec() {
+    const FIRST: libc::c_uint = 3;
+    // SAFETY: the call changes flags of descriptors only. A kernel before 5.11 refuses it.
+    unsafe {
+        libc::syscall(
+            libc::SYS_close_range,
+            FIRST,
+            libc::c_uint::MAX,
+            libc::CLOSE_RANGE_CLOEXEC,
+        );
     }
 }
 

@@ -22,7 +22,6 @@ use std::io::{self, Read as _};
 use std::os::fd::{AsFd as _, BorrowedFd};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::sync::Arc;
 
 use rustix::event::{PollFd, PollFlags, poll};
@@ -38,6 +37,7 @@ use crate::report;
 use crate::supervisor::{Action, Input, Notice, Outcome, Recovery, Supervisor};
 use crate::trust::{Platform, TrustError};
 use children::Children;
+pub use clean_up::AloneCleanUp;
 use control::{ControlSocket, Request};
 use notify::NotifySocket;
 
@@ -46,6 +46,9 @@ pub use guardian::{GIVES_UP, GuardEnd, GuardPlan, Guardian, NOTHING_STARTED};
 
 /// The longest time between two looks at the guardian, and at processes that were left.
 const LOOK_AGAIN: Duration = Duration::from_ms(500);
+
+/// The most reports between two looks at all else: a process that floods must not hold it up.
+const MOST_AT_ONCE: usize = 256;
 
 /// Why a manifest cannot be run. Nothing was started.
 #[derive(Debug, thiserror::Error)]
@@ -93,17 +96,17 @@ pub enum Unrecoverable {
     },
     /// The watchdog is lost.
     #[error("the guardian has ended")]
-    NoGuardian,
+    NoGuardian(AloneCleanUp),
 }
 
 /// Returns the exit status of a launcher's process that gives up. Without a guardian it cleans up
 /// itself, before.
 #[must_use]
-pub fn give_up(why: &Unrecoverable) -> ExitCode {
-    if matches!(why, Unrecoverable::NoGuardian) {
-        clean_up::CleanUp::alone().run();
+pub fn give_up(why: &Unrecoverable) -> u8 {
+    if let Unrecoverable::NoGuardian(clean_up) = why {
+        clean_up.run();
     }
-    ExitCode::from(GIVES_UP)
+    GIVES_UP
 }
 
 /// Makes the error of a system call that must not fail.
@@ -120,6 +123,8 @@ pub struct ProcessLauncher {
     notify: NotifySocket,
     control: ControlSocket,
     names: SocketNames,
+    /// The manifest and the anchor.
+    files: (PathBuf, Option<PathBuf>),
 }
 
 /// The names of the sockets in the abstract namespace: no file is left behind.
@@ -134,7 +139,11 @@ impl SocketNames {
     fn of(path: &Path) -> Self {
         use std::os::unix::ffi::OsStrExt as _;
         let digest = Sha256::digest(path.as_os_str().as_bytes());
-        let digest: String = digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+        let digest: String = digest
+            .iter()
+            .take(8)
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
         Self {
             notify: format!("tandem-exec-{digest}-notify"),
             control: format!("tandem-exec-{digest}-control"),
@@ -175,6 +184,7 @@ impl ProcessLauncher {
             notify,
             control,
             names,
+            files: (path, anchor.map(Path::to_owned)),
         })
     }
 
@@ -185,7 +195,8 @@ impl ProcessLauncher {
     }
 
     /// Runs the processes until all have ended. The first byte from `stops` ends them in order, the
-    /// second kills them. With a guardian, standard input leads to it.
+    /// second kills them. With a guardian, standard input leads to it; without one, the kernel
+    /// sends SIGTERM to each process when the calling thread ends.
     ///
     /// # Errors
     /// [`Unrecoverable`]: the caller must clean up.
@@ -196,7 +207,8 @@ impl ProcessLauncher {
         tell: &mut dyn FnMut(&Told),
     ) -> Result<(), Unrecoverable> {
         stops.set_nonblocking(true).map_err(system("signals"))?;
-        let children = Children::new(self.manifest.clone(), self.platform, self.folder, &self.names);
+        let manifest = Arc::clone(&self.manifest);
+        let children = Children::new(manifest, self.platform, self.folder, &self.names, guarded);
         let mut shell = Shell {
             supervisor: Supervisor::new(self.manifest.clone()),
             initial: self.manifest.initial(),
@@ -210,6 +222,7 @@ impl ProcessLauncher {
             inputs: VecDeque::new(),
             guard: guarded.then(|| guardian::Link::new()),
             group: self.names.control,
+            files: self.files,
             begin: clock::now(),
             tell,
             outcome: None,
@@ -258,6 +271,7 @@ struct Shell<'a> {
     guard: Option<guardian::Link>,
     /// Name of the control group.
     group: String,
+    files: (PathBuf, Option<PathBuf>),
     begin: Instant,
     tell: &'a mut dyn FnMut(&Told),
     outcome: Option<Outcome>,
@@ -266,13 +280,9 @@ struct Shell<'a> {
 impl Shell<'_> {
     fn run(&mut self) -> Result<(), Unrecoverable> {
         if let Some(guard) = &mut self.guard {
-            set_child_subreaper(Some(getpid())).map_err(|error| system("subreaper")(error.into()))?;
-            if !guard.begin(&self.manifest.safe_state, &self.group) {
-                self.tell(LaunchEvent::NotGranted {
-                    process: "launcher".to_owned(),
-                    what: "a control group (cgroup v2); process groups and /proc take its place",
-                });
-            }
+            set_child_subreaper(Some(getpid()))
+                .map_err(|error| system("subreaper")(error.into()))?;
+            guard.begin(&self.manifest.safe_state, &self.group);
         }
         self.inputs.push_back(Input::Switch(self.initial));
         loop {
@@ -280,7 +290,7 @@ impl Shell<'_> {
             match self.outcome {
                 None => self.wait()?,
                 Some(Outcome::Done) => {
-                    self.children.kill_what_is_left(self.guard.is_some());
+                    self.children.kill_what_is_left();
                     return Ok(());
                 }
                 Some(Outcome::SafeState(at)) => {
@@ -307,9 +317,15 @@ impl Shell<'_> {
         match action {
             Action::Start(at) => match self.children.start(at)? {
                 Ok((pid, refused)) => {
-                    self.tell(LaunchEvent::Started { process: self.name(at), pid });
+                    self.tell(LaunchEvent::Started {
+                        process: self.name(at),
+                        pid,
+                    });
                     for what in refused {
-                        self.tell(LaunchEvent::NotGranted { process: self.name(at), what });
+                        self.tell(LaunchEvent::NotGranted {
+                            process: self.name(at),
+                            what,
+                        });
                     }
                     self.inputs.push_back(Input::Started(at));
                 }
@@ -325,7 +341,9 @@ impl Shell<'_> {
 
     fn notice(&mut self, notice: Notice) {
         let event = match notice {
-            Notice::Ready(at) => LaunchEvent::Ready { process: self.name(at) },
+            Notice::Ready(at) => LaunchEvent::Ready {
+                process: self.name(at),
+            },
             Notice::Failed(at, why, recovery) => {
                 let next = match recovery {
                     Recovery::Restart(number) => format!("restart {number}"),
@@ -336,20 +354,36 @@ impl Shell<'_> {
                 let why = why.to_string();
                 if matches!(recovery, Recovery::Fallback | Recovery::SafeState) {
                     let answer = format!("{} has failed: {why}", self.name(at));
-                    self.waiting.drain(..).for_each(|(_, request)| request.answer(&answer));
+                    self.waiting
+                        .drain(..)
+                        .for_each(|(_, request)| request.answer(&answer));
                 }
-                LaunchEvent::Failed { process: self.name(at), why, next }
+                LaunchEvent::Failed {
+                    process: self.name(at),
+                    why,
+                    next,
+                }
             }
             Notice::Switching(to) => {
                 let superseded = |(target, _): &(usize, Request)| *target != to;
                 let others: Vec<_> = self.waiting.extract_if(.., |it| superseded(it)).collect();
                 let answer = "another run target was asked for since";
-                others.into_iter().for_each(|(_, request)| request.answer(answer));
-                LaunchEvent::Switching { target: self.target_name(to) }
+                others
+                    .into_iter()
+                    .for_each(|(_, request)| request.answer(answer));
+                LaunchEvent::Switching {
+                    target: self.target_name(to),
+                }
             }
             Notice::Reached(target) => {
-                self.waiting.drain(..).for_each(|(_, request)| request.answer("ok"));
-                LaunchEvent::Reached { target: self.target_name(target) }
+                // A request for another one may have arrived since.
+                let reached: Vec<_> = self.waiting.extract_if(.., |it| it.0 == target).collect();
+                reached
+                    .into_iter()
+                    .for_each(|(_, request)| request.answer("ok"));
+                LaunchEvent::Reached {
+                    target: self.target_name(target),
+                }
             }
         };
         self.tell(event);
@@ -358,8 +392,12 @@ impl Shell<'_> {
     /// Waits until something happens, and notes it.
     fn wait(&mut self) -> Result<(), Unrecoverable> {
         let now = clock::now();
-        let look_again = now + LOOK_AGAIN;
-        let until = self.supervisor.next_tick(now).map_or(look_again, |it| it.min(look_again));
+        let watchdog = Duration::from_ns(self.manifest.safe_state.watchdog.as_ns() / 4);
+        let look_again = now + LOOK_AGAIN.min(watchdog);
+        let until = self
+            .supervisor
+            .next_tick(now)
+            .map_or(look_again, |it| it.min(look_again));
         let span = until.since(now).as_ns();
         let span = Timespec {
             tv_sec: (span / 1_000_000_000) as i64,
@@ -368,8 +406,13 @@ impl Shell<'_> {
         let fixed = [self.notify.as_fd(), self.stops.as_fd()];
         let guard = self.guard.as_ref().map(|it| it.fd());
         let fds: Vec<BorrowedFd<'_>> = fixed.into_iter().chain(guard).collect();
-        let fds = fds.into_iter().chain(self.control.fds()).chain(self.children.fds());
-        let mut fds: Vec<_> = fds.map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN)).collect();
+        let fds = fds
+            .into_iter()
+            .chain(self.control.fds())
+            .chain(self.children.fds());
+        let mut fds: Vec<_> = fds
+            .map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN))
+            .collect();
         match poll(&mut fds, Some(&span)) {
             Ok(_) | Err(Errno::INTR) => {}
             Err(error) => return Err(system("poll")(error.into())),
@@ -380,7 +423,10 @@ impl Shell<'_> {
 
     fn hear(&mut self) -> Result<(), Unrecoverable> {
         // Reports first: a process that reports and ends has reported.
-        while let Some((pid, datagram)) = self.notify.receive(clock::now()) {
+        for _ in 0..MOST_AT_ONCE {
+            let Some((pid, datagram)) = self.notify.receive(clock::now()) else {
+                break;
+            };
             let Some(at) = self.children.reporter(pid) else {
                 continue;
             };
@@ -388,10 +434,12 @@ impl Shell<'_> {
                 self.children.set_status(at, status);
             }
             let reports = datagram.reports.into_iter();
-            self.inputs.extend(reports.map(|report| Input::Report(at, report)));
+            self.inputs
+                .extend(reports.map(|report| Input::Report(at, report)));
         }
         let ended = self.children.take_ended();
-        self.inputs.extend(ended.into_iter().map(|(at, how)| Input::Ended(at, how)));
+        self.inputs
+            .extend(ended.into_iter().map(|(at, how)| Input::Ended(at, how)));
         for request in self.control.take().map_err(system("the control socket"))? {
             self.answer(request);
         }
@@ -407,24 +455,25 @@ impl Shell<'_> {
         if let Some(guard) = &mut self.guard
             && !guard.kick()
         {
-            return Err(Unrecoverable::NoGuardian);
+            let clean_up =
+                AloneCleanUp::of(&self.manifest.safe_state, self.files.clone(), &self.group);
+            return Err(Unrecoverable::NoGuardian(clean_up));
         }
         self.inputs.push_back(Input::Tick);
         Ok(())
     }
 
     fn answer(&mut self, request: Request) {
-        let known = request.text.split_once(' ').map_or((request.text.as_str(), ""), |it| it);
+        let known = request
+            .text
+            .split_once(' ')
+            .map_or((request.text.as_str(), ""), |it| it);
         match known {
             ("ps", "") => {
                 let rows = self.rows();
                 let (target, reached) = self.supervisor.target();
                 let target = target.map(|it| self.target_name(it));
                 request.answer(&event::state(target.as_deref(), reached, &rows));
-            }
-            ("stop", "") => {
-                self.inputs.push_back(Input::Stop);
-                request.answer("ok");
             }
             ("target", name) => match self.manifest.target_named(name) {
                 _ if self.children.is_other_process(request.from) => {
@@ -441,7 +490,7 @@ impl Shell<'_> {
                     request.answer(&format!("no such run target; there are: {names}"));
                 }
             },
-            _ => request.answer("expected ps, stop or target NAME"),
+            _ => request.answer("expected ps or target NAME"),
         }
     }
 

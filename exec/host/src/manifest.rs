@@ -63,6 +63,9 @@ pub struct ProcessPlan {
     /// Its working directory, relative to the manifest's folder, which is the default.
     #[serde(default)]
     pub directory: PathBuf,
+    /// A file for its standard output and standard error, relative to the manifest's folder; those
+    /// of the launcher by default.
+    pub output: Option<PathBuf>,
     /// The numbers of the CPUs on which it may run; all by default.
     pub cpus: Option<Vec<usize>>,
     /// Its scheduling policy.
@@ -233,7 +236,8 @@ pub struct SafeState {
     /// Time from SIGTERM to SIGKILL; also the time that each command may take.
     #[serde(deserialize_with = "span::read")]
     pub within: Duration,
-    /// Time without a sign of life from the launcher after which it is replaced by the clean-up.
+    /// Time without a sign of life from the launcher after which the guardian ends it and cleans up;
+    /// at least 100 ms.
     #[serde(deserialize_with = "span::read")]
     pub watchdog: Duration,
 }

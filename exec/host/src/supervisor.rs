@@ -119,7 +119,7 @@ pub enum ProcessFailure {
     #[error("it was not ready within {} ms", .0.as_us() / 1_000)]
     NotReady(Duration),
     /// It ended.
-    #[error("it ended {0}")]
+    #[error("it ended: {0}")]
     Ended(ExitKind),
     /// It said too seldom or too often that it is alive.
     #[error("it was alive {0} times in a cycle")]
@@ -146,8 +146,8 @@ pub enum Outcome {
 impl fmt::Display for ExitKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Code(code) => write!(f, "with status {code}"),
-            Self::Signal(signal) => write!(f, "by signal {signal}"),
+            Self::Code(code) => write!(f, "exit status: {code}"),
+            Self::Signal(signal) => write!(f, "signal: {signal}"),
         }
     }
 }
@@ -156,11 +156,18 @@ impl fmt::Display for ExitKind {
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum UnitState {
     Off,
-    Starting { until: Instant },
+    Starting {
+        until: Instant,
+    },
     Ready,
     Finished,
-    Ending { until: Instant, failed: Option<ProcessFailure> },
-    Pausing { until: Instant },
+    Ending {
+        until: Instant,
+        failed: Option<ProcessFailure>,
+    },
+    Pausing {
+        until: Instant,
+    },
     Failed,
 }
 
@@ -376,7 +383,10 @@ impl Supervisor {
         };
         match core::mem::replace(&mut unit.state, UnitState::Off) {
             UnitState::Ending { failed: None, .. } => {}
-            UnitState::Ending { failed: Some(failure), .. } => {
+            UnitState::Ending {
+                failed: Some(failure),
+                ..
+            } => {
                 self.recover(now, at, failure, actions);
             }
             UnitState::Starting { .. } | UnitState::Ready
@@ -504,7 +514,10 @@ impl Supervisor {
                 let until = now + self.manifest.processes[*at].stop_within;
                 let unit = &mut self.units[*at];
                 unit.monitor = None;
-                unit.state = UnitState::Ending { until, failed: None };
+                unit.state = UnitState::Ending {
+                    until,
+                    failed: None,
+                };
                 actions.push(Action::Terminate(*at));
             }
         }
@@ -518,7 +531,8 @@ impl Supervisor {
         for at in &members {
             self.start_if_due(now, *at, actions);
         }
-        let is = |test: fn(&UnitState) -> bool| members.iter().all(|at| test(&self.units[*at].state));
+        let is =
+            |test: fn(&UnitState) -> bool| members.iter().all(|at| test(&self.units[*at].state));
         if !self.is_reached && is(UnitState::is_ready) {
             self.is_reached = true;
             actions.push(Action::Tell(Notice::Reached(target)));

@@ -1,11 +1,12 @@
 //! The processes of the manifest, as children of the launcher.
 
 use std::error::Error;
+use std::fs::File;
 use std::io;
 use std::os::fd::BorrowedFd;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::PathBuf;
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 
 use rustix::io::Errno;
@@ -13,6 +14,7 @@ use rustix::process::{Resource, Signal, kill_process_group};
 use tandem_board_host::spawn::{self, Placement, RealtimePolicy, Watched, Wish};
 
 use super::descendants::{self, MARK};
+use super::group::MemoryGroups;
 use super::{SocketNames, Unrecoverable, system};
 use crate::manifest::{Manifest, ProcessPlan, ResourceLimits, SchedulingPolicy};
 use crate::report::{CONTROL_SOCKET, NOTIFY_SOCKET};
@@ -22,6 +24,9 @@ use crate::trust::Platform;
 /// The path for programs that a process starts; deterministic.
 const PATH: &str = "/usr/local/bin:/usr/bin:/bin:/usr/local/sbin:/usr/sbin:/sbin";
 
+/// What is told if memory is limited by `setrlimit` alone.
+const NO_MEMORY_GROUP: &str = "a memory group (cgroup v1): its limit is RLIMIT_DATA alone";
+
 #[derive(Debug)]
 pub(super) struct Children {
     manifest: Arc<Manifest>,
@@ -30,6 +35,9 @@ pub(super) struct Children {
     names: SocketNames,
     running: Vec<Option<Running>>,
     status: Vec<String>,
+    /// A guardian handles what is left when the launcher dies.
+    guarded: bool,
+    memory: Option<MemoryGroups>,
 }
 
 #[derive(Debug)]
@@ -47,6 +55,7 @@ impl Children {
         platform: Platform,
         folder: PathBuf,
         names: &SocketNames,
+        guarded: bool,
     ) -> Self {
         let count = manifest.processes.len();
         Self {
@@ -56,6 +65,8 @@ impl Children {
             names: names.clone(),
             running: (0..count).map(|_| None).collect(),
             status: vec![String::new(); count],
+            guarded,
+            memory: MemoryGroups::named(&names.control),
         }
     }
 
@@ -66,23 +77,44 @@ impl Children {
         let Some(plan) = manifest.processes.get(at) else {
             return Ok(Err("no such process".to_owned()));
         };
-        let trusted = match self.platform.command(&plan.program) {
+        let mut trusted = match self.platform.command(&plan.program) {
             Ok(trusted) => trusted,
             Err(error) => return refused(&error, error.to_string()),
         };
+        trusted.command.env_clear().env("PATH", PATH);
+        for (name, value) in &plan.environment {
+            if let Err(error) = trusted.set(name, value.as_ref()) {
+                return refused(&error, error.to_string());
+            }
+        }
         let mut command = trusted.command;
-        command.args(&plan.arguments).env_clear().env("PATH", PATH);
+        command.args(&plan.arguments);
         if plan.reports() {
             command.env(NOTIFY_SOCKET, format!("@{}", self.names.notify));
         }
         if plan.state_management {
             command.env(CONTROL_SOCKET, format!("@{}", self.names.control));
         }
-        command.envs(&plan.environment).env(MARK, plan.name());
+        command.env(MARK, plan.name());
         command.current_dir(self.folder.join(&plan.directory));
         command.stdin(Stdio::null());
         let mut placement = placement(plan);
         placement.keep = trusted.keep;
+        placement.when_caller_ends = (!self.guarded).then_some(Signal::TERM);
+        if let Err(error) = self.set_output(plan, &mut command) {
+            return refused(&error, format!("its output: {error}"));
+        }
+        let mut refusals = vec![];
+        if let Some(bytes) = plan.limits.memory {
+            match self
+                .memory
+                .as_ref()
+                .map(|groups| groups.make(plan.name(), bytes))
+            {
+                Some(Ok(group)) => placement.join.push(Arc::new(group)),
+                _ => refusals.push(NO_MEMORY_GROUP),
+            }
+        }
         let (child, wishes) = match spawn::spawn(&mut command, &placement) {
             Ok(started) => started,
             Err(error) => {
@@ -97,7 +129,21 @@ impl Children {
         if let Some(place) = self.running.get_mut(at) {
             *place = Some(Running { child, watched });
         }
-        Ok(Ok((pid, wishes.into_iter().map(in_words).collect())))
+        refusals.extend(wishes.into_iter().map(in_words));
+        Ok(Ok((pid, refusals)))
+    }
+
+    /// Leads standard output and standard error to the file of the manifest.
+    fn set_output(&self, plan: &ProcessPlan, command: &mut Command) -> io::Result<()> {
+        if let Some(file) = &plan.output {
+            let mut options = File::options();
+            let file = options
+                .append(true)
+                .create(true)
+                .open(self.folder.join(file))?;
+            command.stdout(file.try_clone()?).stderr(file);
+        }
+        Ok(())
     }
 
     pub(super) fn fds(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
@@ -147,9 +193,14 @@ impl Children {
 
     /// Kills what the processes have started and left. In a process of its own, the launcher kills
     /// all of its descendants.
-    pub(super) fn kill_what_is_left(&self, is_own_process: bool) {
+    pub(super) fn kill_what_is_left(&self) {
+        self.kill_orphans();
+        self.memory.iter().for_each(MemoryGroups::remove);
+    }
+
+    fn kill_orphans(&self) {
         for plan in &self.manifest.processes {
-            if is_own_process {
+            if self.guarded {
                 while descendants::signal_all(Signal::KILL) > 0 {
                     std::thread::sleep(std::time::Duration::from_millis(1));
                 }
@@ -203,7 +254,9 @@ fn refused(error: &(dyn Error + 'static), why: String) -> Result<Start, Unrecove
 fn system_failure(error: &(dyn Error + 'static)) -> Option<Errno> {
     let mut error = Some(error);
     while let Some(this) = error {
-        let number = this.downcast_ref::<io::Error>().and_then(Errno::from_io_error);
+        let number = this
+            .downcast_ref::<io::Error>()
+            .and_then(Errno::from_io_error);
         let number = number.or_else(|| this.downcast_ref::<Errno>().copied());
         let lacks = [Errno::AGAIN, Errno::NOMEM, Errno::MFILE, Errno::NFILE];
         if let Some(number) = number.filter(|it| lacks.contains(it)) {
@@ -233,6 +286,8 @@ fn placement(plan: &ProcessPlan) -> Placement {
         gid: plan.gid,
         groups: plan.groups.clone(),
         keep: vec![],
+        join: vec![],
+        when_caller_ends: None,
     }
 }
 
@@ -255,5 +310,6 @@ const fn in_words(wish: Wish) -> &'static str {
         Wish::Cpus => "its CPUs",
         Wish::Scheduling => "its scheduling policy and priority",
         Wish::Limit => "a limit: the hard limit of the launcher is lower",
+        Wish::Group => NO_MEMORY_GROUP,
     }
 }

@@ -7,11 +7,11 @@ use std::time::{Duration, Instant};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{Signal, kill_process_group};
 use rustix::time::Timespec;
-use serde::{Deserialize, Serialize};
 use tandem_board_host::spawn::{self, Watched};
 
 use super::descendants;
-use super::group::ControlGroup;
+use super::group::{ControlGroup, MemoryGroups};
+use crate::manifest::SafeState;
 use crate::trust::Platform;
 
 const LOOK_AGAIN: Duration = Duration::from_millis(2);
@@ -19,7 +19,7 @@ const LOOK_AGAIN: Duration = Duration::from_millis(2);
 const GONE_WITHIN: Duration = Duration::from_secs(5);
 
 /// What the clean-up needs to know.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct CleanUp {
     /// Commands of the command line: they act whatever the manifest says.
     pub(super) before: Vec<String>,
@@ -29,16 +29,10 @@ pub(super) struct CleanUp {
     /// The manifest's folder and the anchor, for commands of the manifest.
     pub(super) manifest: Option<(PathBuf, Option<PathBuf>)>,
     pub(super) group: Option<ControlGroup>,
+    pub(super) memory: Option<MemoryGroups>,
 }
 
 impl CleanUp {
-    pub(super) fn alone() -> Self {
-        Self {
-            within_ms: 1_000,
-            ..Self::default()
-        }
-    }
-
     /// Cleans up. Returns what could not be done.
     pub(super) fn run(&self) -> Vec<String> {
         let within = Duration::from_millis(self.within_ms);
@@ -56,6 +50,7 @@ impl CleanUp {
             failed.push(format!("processes that cannot be killed: {left:?}"));
         }
         self.group.iter().for_each(ControlGroup::remove);
+        self.memory.iter().for_each(MemoryGroups::remove);
         failed.extend(self.command("post-clean-up", &self.after, within).err());
         failed
     }
@@ -75,7 +70,10 @@ impl CleanUp {
             }
         };
         command.args(arguments).stdin(Stdio::null());
-        let placement = spawn::Placement { keep, ..Default::default() };
+        let placement = spawn::Placement {
+            keep,
+            ..Default::default()
+        };
         let started = spawn::spawn(&mut command, &placement);
         let (mut child, _) = started.map_err(|error| fail(&error))?;
         if let Some(watched) = Watched::new(child.id()) {
@@ -94,6 +92,35 @@ impl CleanUp {
             Ok(status) => Err(fail(&status)),
             Err(error) => Err(fail(&error)),
         }
+    }
+}
+
+/// The clean-up by a launcher that has lost its guardian.
+#[derive(Clone, Debug)]
+pub struct AloneCleanUp(CleanUp, String);
+
+impl AloneCleanUp {
+    pub(super) fn of(
+        safe_state: &SafeState,
+        manifest: (PathBuf, Option<PathBuf>),
+        group: &str,
+    ) -> Self {
+        let clean_up = CleanUp {
+            before: safe_state.before.clone(),
+            after: safe_state.after.clone(),
+            within_ms: safe_state.within.as_us() / 1_000,
+            manifest: Some(manifest),
+            group: None,
+            memory: MemoryGroups::named(group),
+        };
+        Self(clean_up, group.to_owned())
+    }
+
+    /// Cleans up. Returns what could not be done.
+    pub(super) fn run(&self) -> Vec<String> {
+        let mut clean_up = self.0.clone();
+        clean_up.group = ControlGroup::leave(&self.1);
+        clean_up.run()
     }
 }
 

@@ -1,4 +1,4 @@
-//! The socket for requests: `ps`, `target NAME`, `stop`. One request a connection, one line each way.
+//! The socket for requests: `ps` and `target NAME`. One request a connection, one line each way.
 
 use std::io::{self, Read as _, Write as _};
 use std::os::fd::{AsFd, BorrowedFd};

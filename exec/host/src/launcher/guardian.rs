@@ -19,9 +19,12 @@ use serde::{Deserialize, Serialize};
 use tandem_board_host::spawn::{self, Watched};
 
 use super::clean_up::CleanUp;
-use super::group::ControlGroup;
+use super::descendants;
+use super::group::{ControlGroup, MemoryGroups};
 use crate::manifest::SafeState;
 
+/// The shortest time of the watchdog: below, a busy machine would end a launcher that works.
+const SHORTEST: Duration = Duration::from_millis(100);
 /// The exit status of a launcher that gives up.
 pub const GIVES_UP: u8 = 70;
 /// The exit status of a launcher that has started nothing.
@@ -58,7 +61,7 @@ struct Begin {
     after: Vec<String>,
     within_ms: u64,
     watchdog_ms: u64,
-    group: Option<ControlGroup>,
+    group: String,
 }
 
 /// The launcher's end.
@@ -69,25 +72,23 @@ pub(super) struct Link {
 
 impl Link {
     pub(super) fn new() -> Self {
-        Self { stream: io::stdin() }
+        Self {
+            stream: io::stdin(),
+        }
     }
 
-    /// Joins the group of this name, and tells the guardian what the clean-up needs. Returns whether
-    /// the machine grants a group.
-    pub(super) fn begin(&mut self, safe_state: &SafeState, name: &str) -> bool {
-        let group = ControlGroup::join(name);
-        let is_granted = group.is_some();
+    /// Tells the guardian what the clean-up needs.
+    pub(super) fn begin(&mut self, safe_state: &SafeState, group: &str) {
         let begin = Begin {
             before: safe_state.before.clone(),
             after: safe_state.after.clone(),
             within_ms: safe_state.within.as_us() / 1_000,
             watchdog_ms: safe_state.watchdog.as_us() / 1_000,
-            group,
+            group: group.to_owned(),
         };
         let mut line = serde_json::to_string(&begin).unwrap_or_default();
         line.push('\n');
         self.send(line.as_bytes());
-        is_granted
     }
 
     /// Says that the launcher lives. Returns whether the guardian does.
@@ -97,7 +98,10 @@ impl Link {
 
     fn send(&self, line: &[u8]) -> bool {
         // A guardian that is suspended reads later: its silence is no end.
-        !matches!(rustix::io::write(&self.stream, line), Err(Errno::PIPE | Errno::CONNRESET))
+        !matches!(
+            rustix::io::write(&self.stream, line),
+            Err(Errno::PIPE | Errno::CONNRESET)
+        )
     }
 
     pub(super) fn fd(&self) -> BorrowedFd<'_> {
@@ -126,7 +130,9 @@ impl Guardian {
         set_child_subreaper(Some(getpid()))?;
         let (stream, theirs) = UnixStream::pair()?;
         theirs.set_nonblocking(true)?;
-        launcher.stdin(Stdio::from(OwnedFd::from(theirs))).process_group(0);
+        launcher
+            .stdin(Stdio::from(OwnedFd::from(theirs)))
+            .process_group(0);
         let child = launcher.spawn()?;
         drop(launcher);
         let watched = Watched::new(child.id()).ok_or(io::ErrorKind::NotFound)?;
@@ -138,6 +144,7 @@ impl Guardian {
                 within_ms: defaults.within.as_us() / 1_000,
                 manifest: None,
                 group: None,
+                memory: None,
             },
             plan,
             launcher: child,
@@ -149,11 +156,11 @@ impl Guardian {
     }
 
     /// Watches until the launcher has ended, and cleans up if need be. Bytes from `stops` are
-    /// signals that the launcher gets, too.
+    /// signals that the launcher gets, too. `warn` is told what the machine does not grant.
     ///
     /// # Errors
     /// If the system does not permit to watch.
-    pub fn watch(mut self, stops: &UnixStream) -> io::Result<GuardEnd> {
+    pub fn watch(mut self, stops: &UnixStream, warn: &mut dyn FnMut(&str)) -> io::Result<GuardEnd> {
         stops.set_nonblocking(true)?;
         self.stream.set_nonblocking(true)?;
         let mut last = Instant::now();
@@ -171,7 +178,7 @@ impl Guardian {
                     _ => break ended(status),
                 }
             }
-            if self.hear() {
+            if self.hear(warn) {
                 last = Instant::now();
             }
             if last.elapsed() > self.watchdog {
@@ -186,12 +193,16 @@ impl Guardian {
                 spawn::signal(self.launcher.id(), Signal::TERM);
             }
         };
-        self.hear();
+        self.hear(warn);
         Ok(GuardEnd::CleanedUp(why, self.clean_up.run()))
     }
 
     fn sleep(&self, stops: &UnixStream, span: Duration) {
-        let fds = [self.watched.fd().as_fd(), self.stream.as_fd(), stops.as_fd()];
+        let fds = [
+            self.watched.fd().as_fd(),
+            self.stream.as_fd(),
+            stops.as_fd(),
+        ];
         let mut fds = fds.map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN));
         let span = Timespec {
             tv_sec: span.as_secs() as i64,
@@ -202,7 +213,7 @@ impl Guardian {
     }
 
     /// Reads what the launcher has sent. Returns whether it was anything.
-    fn hear(&mut self) -> bool {
+    fn hear(&mut self, warn: &mut dyn FnMut(&str)) -> bool {
         let mut bytes = [0; 4096];
         let mut has_heard = false;
         while let Ok(count @ 1..) = (&self.stream).read(&mut bytes) {
@@ -212,16 +223,26 @@ impl Guardian {
         while let Some(end) = self.heard.iter().position(|byte| *byte == b'\n') {
             let line: Vec<u8> = self.heard.drain(..=end).collect();
             if let Ok(begin) = serde_json::from_slice::<Begin>(&line) {
-                self.begin(begin);
+                self.begin(begin, warn);
             }
         }
         has_heard
     }
 
-    fn begin(&mut self, begin: Begin) {
-        self.watchdog = Duration::from_millis(begin.watchdog_ms);
+    fn begin(&mut self, begin: Begin, warn: &mut dyn FnMut(&str)) {
+        self.watchdog = SHORTEST.max(Duration::from_millis(begin.watchdog_ms));
         self.clean_up.within_ms = begin.within_ms;
-        self.clean_up.group = begin.group;
+        // Beside the start of the processes: a move takes 5 to 15 ms, in which the kernel waits.
+        let launcher = self.launcher.id();
+        let group = ControlGroup::make(&begin.group);
+        let all = || descendants::living(&[launcher]);
+        self.clean_up.group = group.filter(|it| it.take(all));
+        self.clean_up.memory = MemoryGroups::named(&begin.group);
+        if self.clean_up.group.is_none() {
+            warn(
+                "no control group (cgroup v2) is granted: process groups and /proc take its place",
+            );
+        }
         if self.plan.before.is_empty() && self.plan.after.is_empty() {
             self.clean_up.before = begin.before;
             self.clean_up.after = begin.after;

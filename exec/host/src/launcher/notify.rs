@@ -69,7 +69,9 @@ fn parse(bytes: &[u8], now: Instant) -> Datagram {
     let field = |name: &str| text.lines().find_map(|line| line.strip_prefix(name));
     let at = field("MONOTONIC_USEC=").and_then(|us| us.parse::<u64>().ok());
     // A time of the future is not believed; the supervisor would wait for it.
-    let at = at.map_or(now, |us| Instant::from_ns(us.saturating_mul(1_000)).min(now));
+    let at = at.map_or(now, |us| {
+        Instant::from_ns(us.saturating_mul(1_000)).min(now)
+    });
     for line in text.lines() {
         let report = match line.split_once('=') {
             Some(("READY", "1")) => Some(ProcessReport::Ready),

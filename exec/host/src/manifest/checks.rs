@@ -10,7 +10,11 @@ const LONGEST_NAME: usize = 64;
 /// Checks the values, and resolves all names to indices.
 pub(super) fn resolve(manifest: &mut Manifest, text: &str) -> Result<(), ManifestError> {
     let at = |offset: usize, what: String| ManifestError::Value {
-        line: 1 + text.bytes().take(offset).filter(|byte| *byte == b'\n').count(),
+        line: 1 + text
+            .bytes()
+            .take(offset)
+            .filter(|byte| *byte == b'\n')
+            .count(),
         what,
     };
     if *manifest.version.get_ref() != 1 {
@@ -18,13 +22,23 @@ pub(super) fn resolve(manifest: &mut Manifest, text: &str) -> Result<(), Manifes
         return Err(at(manifest.version.span().start, what));
     }
     let fail = |name: &Spanned<String>, what: &str| {
-        Err(at(name.span().start, format!("{:?}: {what}", name.get_ref())))
+        Err(at(
+            name.span().start,
+            format!("{:?}: {what}", name.get_ref()),
+        ))
     };
-    let processes: Vec<_> = manifest.processes.iter().map(|it| it.name.clone()).collect();
+    let processes: Vec<_> = manifest
+        .processes
+        .iter()
+        .map(|it| it.name.clone())
+        .collect();
     let targets: Vec<_> = manifest.targets.iter().map(|it| it.name.clone()).collect();
     for names in [&processes, &targets] {
         for (index, name) in names.iter().enumerate() {
-            if names[..index].iter().any(|other| other.get_ref() == name.get_ref()) {
+            if names[..index]
+                .iter()
+                .any(|other| other.get_ref() == name.get_ref())
+            {
                 return fail(name, "this name is used twice");
             }
             if !is_name(name.get_ref()) {
@@ -33,8 +47,15 @@ pub(super) fn resolve(manifest: &mut Manifest, text: &str) -> Result<(), Manifes
         }
     }
     let index_of = |name: &Spanned<String>| {
-        let found = processes.iter().position(|it| it.get_ref() == name.get_ref());
-        let known = || processes.iter().map(|it| it.get_ref().as_str()).collect::<Vec<_>>();
+        let found = processes
+            .iter()
+            .position(|it| it.get_ref() == name.get_ref());
+        let known = || {
+            processes
+                .iter()
+                .map(|it| it.get_ref().as_str())
+                .collect::<Vec<_>>()
+        };
         found.ok_or_else(|| {
             let known = known().join(", ");
             let what = format!("{:?}: no such process; there are: {known}", name.get_ref());
@@ -42,16 +63,27 @@ pub(super) fn resolve(manifest: &mut Manifest, text: &str) -> Result<(), Manifes
         })
     };
     for process in &mut manifest.processes {
-        process.dependencies = process.after.iter().map(index_of).collect::<Result<_, _>>()?;
+        process.dependencies = process
+            .after
+            .iter()
+            .map(index_of)
+            .collect::<Result<_, _>>()?;
         if let Some(what) = contradiction(process) {
             return fail(&process.name, what);
         }
     }
     if let Some(circle) = find_circle(&manifest.processes) {
-        return fail(&manifest.processes[circle].name, "it waits for itself, by `after`");
+        return fail(
+            &manifest.processes[circle].name,
+            "it waits for itself, by `after`",
+        );
     }
     for target in &mut manifest.targets {
-        let mut members = target.processes.iter().map(index_of).collect::<Result<Vec<_>, _>>()?;
+        let mut members = target
+            .processes
+            .iter()
+            .map(index_of)
+            .collect::<Result<Vec<_>, _>>()?;
         let mut next = 0;
         while let Some(&member) = members.get(next) {
             members.extend(manifest.processes[member].dependencies());
@@ -61,7 +93,10 @@ pub(super) fn resolve(manifest: &mut Manifest, text: &str) -> Result<(), Manifes
         members.dedup();
         target.members = members;
     }
-    for name in [Some(&manifest.initial), manifest.fallback.as_ref()].into_iter().flatten() {
+    for name in [Some(&manifest.initial), manifest.fallback.as_ref()]
+        .into_iter()
+        .flatten()
+    {
         if manifest.target_named(name.get_ref()).is_none() {
             return fail(name, "no such run target");
         }
@@ -92,10 +127,17 @@ fn contradiction(process: &ProcessPlan) -> Option<&'static str> {
     if process.program.as_os_str().is_empty() {
         return Some("`program` is empty");
     }
-    if process.alive.is_some_and(|it| it.every.as_ns() == 0 || it.least > it.most) {
+    if process
+        .alive
+        .is_some_and(|it| it.every.as_ns() == 0 || it.least > it.most)
+    {
         return Some("`alive` needs `every` above 0, and `least` not above `most`");
     }
-    if process.deadlines.iter().any(|it| it.least > it.most || it.from == it.to) {
+    if process
+        .deadlines
+        .iter()
+        .any(|it| it.least > it.most || it.from == it.to)
+    {
         return Some("`deadlines` need `least` not above `most`, and two checkpoints");
     }
     if process.state_management && process.ready == ReadyBy::Exit {

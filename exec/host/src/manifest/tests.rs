@@ -52,23 +52,68 @@ fn a_target_holds_what_its_processes_depend_on() {
 fn an_error_names_line_and_key() {
     let rows = [
         ("version = 1", "version = 2", 2, "expected 1"),
-        ("initial = \"drive\"", "initial = \"dirve\"", 3, "no such run target"),
-        ("fallback = \"limp\"", "fallback = \"x\"", 4, "no such run target"),
+        (
+            "initial = \"drive\"",
+            "initial = \"dirve\"",
+            3,
+            "no such run target",
+        ),
+        (
+            "fallback = \"limp\"",
+            "fallback = \"x\"",
+            4,
+            "no such run target",
+        ),
         ("before = ", "befor = ", 7, "befor"),
-        ("within = \"2s\"", "within = \"2 hours\"", 8, "ns, us, ms, s or min"),
-        ("within = \"2s\"", "within = \"99999999999999s\"", 8, "ns, us, ms, s or min"),
+        (
+            "within = \"2s\"",
+            "within = \"2 hours\"",
+            8,
+            "ns, us, ms, s or min",
+        ),
+        (
+            "within = \"2s\"",
+            "within = \"99999999999999s\"",
+            8,
+            "ns, us, ms, s or min",
+        ),
         ("within = \"2s\"", "within = 2", 8, "string"),
-        ("ready = \"running\"", "ready = \"soon\"", 13, "expected one of"),
+        (
+            "ready = \"running\"",
+            "ready = \"soon\"",
+            13,
+            "expected one of",
+        ),
         ("ready = \"running\"", "cpus = []", 11, "cpus"),
         ("ready = \"running\"", "priority = 3", 11, "policy"),
-        ("ready = \"running\"", "after = [\"fusion\"]", 11, "waits for itself"),
+        (
+            "ready = \"running\"",
+            "after = [\"fusion\"]",
+            11,
+            "waits for itself",
+        ),
         ("ready = \"running\"", "color = 3", 13, "color"),
         ("name = \"fusion\"", "name = \"base\"", 16, "twice"),
         ("name = \"fusion\"", "name = \"a/b\"", 16, "letters"),
-        ("after = [\"base\"]", "after = [\"bse\"]", 18, "there are: base, fusion"),
+        (
+            "after = [\"base\"]",
+            "after = [\"bse\"]",
+            18,
+            "there are: base, fusion",
+        ),
         ("least = 1, most = 3", "least = 4, most = 3", 16, "least"),
-        ("most = \"20ms\"", "least = \"1s\", most = \"20ms\"", 16, "least"),
-        ("processes = [\"fusion\"]", "processes = [\"x\"]", 26, "no such process"),
+        (
+            "most = \"20ms\"",
+            "least = \"1s\", most = \"20ms\"",
+            16,
+            "least",
+        ),
+        (
+            "processes = [\"fusion\"]",
+            "processes = [\"x\"]",
+            26,
+            "no such process",
+        ),
     ];
     for (right, wrong, line, words) in rows {
         let error = Manifest::read(GOOD.replacen(right, wrong, 1).as_bytes());

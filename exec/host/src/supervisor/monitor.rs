@@ -100,9 +100,8 @@ impl Monitor {
         let cycle = plan.alive.map_or(Instant::NEVER, |_| self.cycle_ends);
         let deadlines = plan.deadlines.iter().zip(&self.since);
         // A deadline is broken when more than its time has passed.
-        let due = deadlines.filter_map(|(limits, since)| {
-            Some((*since)? + limits.most + Duration::from_ns(1))
-        });
+        let due = deadlines
+            .filter_map(|(limits, since)| Some((*since)? + limits.most + Duration::from_ns(1)));
         due.fold(cycle, Instant::min)
     }
 }

@@ -1,7 +1,9 @@
 //! The program of every process: it does what its arguments say, one after the other.
 
 use std::fs;
-use std::io::{self, Write as _};
+use std::io::{self, Read as _, Write as _};
+use std::os::linux::net::SocketAddrExt as _;
+use std::os::unix::net::{SocketAddr, UnixStream};
 use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::sync::Arc;
@@ -13,7 +15,8 @@ use tandem_exec_host::report;
 
 /// Does the steps. A step that fails writes `error` and ends the process with status 9.
 pub(crate) fn run(steps: &[String]) -> ExitCode {
-    for step in steps {
+    // What follows are arguments for the step `argument`.
+    for step in steps.iter().take_while(|step| *step != "--") {
         let (verb, object) = step.split_once(':').unwrap_or((step, ""));
         if let Err(error) = act(verb, object) {
             let text = format!("{steps:?}: {step}: {error}\n");
@@ -57,7 +60,10 @@ fn act(verb: &str, object: &str) -> io::Result<()> {
             expect(lines.to_string() == count)
         }
         "crash-times" => {
-            let lines = fs::read_to_string("crashes").unwrap_or_default().lines().count();
+            let lines = fs::read_to_string("crashes")
+                .unwrap_or_default()
+                .lines()
+                .count();
             append("crashes", "crash\n")?;
             if (lines as u64) < number()? {
                 std::process::exit(1);
@@ -74,29 +80,59 @@ fn act(verb: &str, object: &str) -> io::Result<()> {
         "to" => report::switch_target(object),
         "not-to" => expect(report::switch_target(object).is_err()),
         "descriptors" => expect(open_descriptors()? == ["0", "1", "2"]),
-        "argument" => expect(std::env::args().any(|it| it == object)),
+        "argument" => {
+            let mut arguments = std::env::args().skip_while(|it| it != "--").skip(1);
+            expect(arguments.next().as_deref() == Some(object) && arguments.next().is_none())
+        }
         "program" => {
             let program = std::env::args().next().unwrap_or_default();
             expect(Path::new(&program).file_name() == std::env::current_exe()?.file_name())
         }
-        "tell" => fs::copy("/proc/self/status", object).map(|_| ()),
         "variable" => {
             let (name, value) = object.split_once('=').unwrap_or((object, ""));
             expect(std::env::var(name).as_deref() == Ok(value))
         }
         "no-variable" => expect(std::env::var_os(object).is_none()),
+        "copy" => {
+            let (from, to) = object.split_once('=').unwrap_or((object, ""));
+            fs::copy(from, to).map(|_| ())
+        }
+        "print" => {
+            println!("{object}");
+            eprintln!("{object}");
+            Ok(())
+        }
+        "child-says" => {
+            let mut child = Command::new(std::env::current_exe()?);
+            let said = child.args(["actor", &format!("say:{object}")]).status()?;
+            expect(said.success())
+        }
+        "allocate" => {
+            let bytes = vec![1_u8; (number()? << 20) as usize];
+            expect(std::hint::black_box(bytes).last() == Some(&1))
+        }
+        "share" => share(number()?),
+        "steal-control" => steal_control(object),
         "leave-child" => leave_child(object),
         other => Err(io::Error::other(format!("unknown step {other}"))),
     }
 }
 
 fn expect(is: bool) -> io::Result<()> {
-    if is { Ok(()) } else { Err(io::Error::other("not so")) }
+    if is {
+        Ok(())
+    } else {
+        Err(io::Error::other("not so"))
+    }
 }
 
 pub(crate) fn append(file: &str, text: &str) -> io::Result<()> {
     let mut options = fs::OpenOptions::new();
-    options.append(true).create(true).open(file)?.write_all(text.as_bytes())
+    options
+        .append(true)
+        .create(true)
+        .open(file)?
+        .write_all(text.as_bytes())
 }
 
 /// Waits for SIGTERM, and goes on.
@@ -137,10 +173,35 @@ fn open_descriptors() -> io::Result<Vec<String>> {
     Ok(found)
 }
 
+/// Fills memory that is no process's own.
+fn share(megabytes: u64) -> io::Result<()> {
+    let memory = rustix::fs::memfd_create("shared", rustix::fs::MemfdFlags::CLOEXEC)?;
+    let mut memory = fs::File::from(memory);
+    (0..megabytes).try_for_each(|_| memory.write_all(&[1; 1 << 20]))
+}
+
+/// Asks for a run target by the socket of the process whose id is in this file.
+fn steal_control(file: &str) -> io::Result<()> {
+    let pid = fs::read_to_string(file)?;
+    let environment = fs::read(format!("/proc/{}/environ", pid.trim()))?;
+    let environment = String::from_utf8_lossy(&environment).into_owned();
+    let name = environment
+        .split('\0')
+        .find_map(|it| it.strip_prefix("TANDEM_CONTROL_SOCKET=@"));
+    let name = name.ok_or(io::ErrorKind::NotFound)?;
+    let mut stream = UnixStream::connect_addr(&SocketAddr::from_abstract_name(name)?)?;
+    stream.write_all(b"target off\n")?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer)?;
+    expect(answer.starts_with("only state management"))
+}
+
 /// Starts a process in a session of its own that ignores SIGTERM, and does not wait for it.
 fn leave_child(file: &str) -> io::Result<()> {
     let mut child = Command::new("setsid");
-    child.arg(std::env::current_exe()?).args(["actor", &format!("append:{file}")]);
+    child
+        .arg(std::env::current_exe()?)
+        .args(["actor", &format!("append:{file}")]);
     child.args(["catch-term:child-termed"]).spawn()?;
     while !Path::new(file).exists() {
         std::thread::sleep(Duration::from_millis(5));

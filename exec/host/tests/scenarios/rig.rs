@@ -25,7 +25,11 @@ pub(crate) struct Rig {
 /// Returns the lines of a process whose program does these steps.
 pub(crate) fn process(name: &str, steps: &[&str], more: &str) -> String {
     let program = std::env::current_exe().unwrap();
-    let quoted: Vec<String> = ["actor"].iter().chain(steps).map(|it| format!("{it:?}")).collect();
+    let quoted: Vec<String> = ["actor"]
+        .iter()
+        .chain(steps)
+        .map(|it| format!("{it:?}"))
+        .collect();
     let steps = quoted.join(", ");
     format!(
         "[[process]]\nname = {name:?}\nprogram = {program:?}\narguments = [{steps}]\n\
@@ -53,7 +57,10 @@ impl Rig {
     }
 
     pub(crate) fn prepare(manifest: &[String]) -> Self {
-        let folder = tempfile::Builder::new().prefix("tandem-exec-").tempdir().unwrap();
+        let folder = tempfile::Builder::new()
+            .prefix("tandem-exec-")
+            .tempdir()
+            .unwrap();
         fs::write(folder.path().join("manifest.toml"), manifest.concat()).unwrap();
         // A process may have another user.
         let all = std::os::unix::fs::PermissionsExt::from_mode(0o777);
@@ -69,10 +76,18 @@ impl Rig {
     }
 
     pub(crate) fn launch_by(&mut self, command: &mut Command) {
+        self.launch_by_spawn(command, Command::spawn);
+    }
+
+    pub(crate) fn launch_by_spawn(
+        &mut self,
+        command: &mut Command,
+        spawn: impl FnOnce(&mut Command) -> std::io::Result<Child>,
+    ) {
         let events = fs::File::create(self.path("events")).unwrap();
         command.current_dir(self.folder.path()).stdout(events);
         let errors = fs::File::create(self.path("errors")).unwrap();
-        self.guardian = Some(command.stderr(errors).spawn().unwrap());
+        self.guardian = Some(spawn(command.stderr(errors)).unwrap());
     }
 
     pub(crate) fn manifest(&self) -> PathBuf {
@@ -93,7 +108,10 @@ impl Rig {
 
     /// Returns the process ids that were appended to a file.
     pub(crate) fn pids(&self, file: &str) -> Vec<i32> {
-        self.text(file).lines().map(|line| line.parse().unwrap()).collect()
+        self.text(file)
+            .lines()
+            .map(|line| line.parse().unwrap())
+            .collect()
     }
 
     /// Returns the numbers of lines of events that hold all of these words.
@@ -172,7 +190,9 @@ impl Rig {
     /// What happened, for the message of a failed test.
     pub(crate) fn story(&self) -> String {
         let files = ["error", "events", "errors", "log"];
-        files.map(|file| format!("{file}:\n{}", self.text(file))).concat()
+        files
+            .map(|file| format!("{file}:\n{}", self.text(file)))
+            .concat()
     }
 }
 
@@ -192,7 +212,9 @@ impl Drop for Rig {
 
 pub(crate) fn is_alive(pid: i32) -> bool {
     let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
-    let is_zombie = stat.rsplit_once(')').is_some_and(|it| it.1.trim().starts_with('Z'));
+    let is_zombie = stat
+        .rsplit_once(')')
+        .is_some_and(|it| it.1.trim().starts_with('Z'));
     test_kill_process(Pid::from_raw(pid).unwrap()).is_ok() && !is_zombie
 }
 
@@ -211,15 +233,26 @@ fn stops() -> UnixStream {
 /// In the guardian: arguments are the manifest, and the commands of the clean-up.
 pub(crate) fn guardian(words: &[String]) -> ExitCode {
     let mut command = Command::new("/proc/self/exe");
-    command.arg("launcher").arg(&words[0]).stdout(Stdio::inherit());
-    let hook = |at: usize| words.get(at).map(|it| it.split(' ').map(str::to_owned).collect());
+    command
+        .arg("launcher")
+        .arg(&words[0])
+        .stdout(Stdio::inherit());
+    let hook = |at: usize| {
+        words
+            .get(at)
+            .map(|it| it.split(' ').map(str::to_owned).collect())
+    };
     let plan = GuardPlan {
         manifest: PathBuf::from(&words[0]),
         anchor: None,
         before: hook(1).unwrap_or_default(),
         after: hook(2).unwrap_or_default(),
     };
-    match Guardian::start(command, plan).unwrap().watch(&stops()).unwrap() {
+    match Guardian::start(command, plan)
+        .unwrap()
+        .watch(&stops(), &mut |_| {})
+        .unwrap()
+    {
         GuardEnd::Done => ExitCode::SUCCESS,
         GuardEnd::NothingStarted => ExitCode::from(2),
         GuardEnd::CleanedUp(why, failed) => {
@@ -242,7 +275,7 @@ pub(crate) fn launcher(words: &[String]) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("{error}");
-            launcher::give_up(&error)
+            ExitCode::from(launcher::give_up(&error))
         }
     }
 }

@@ -8,8 +8,14 @@ pub(crate) const ALL: &[(&str, fn())] = &[
     ("complex_monitoring", complex_monitoring),
     ("crash_ignores_dependents", crash_ignores_dependents),
     ("crash_on_startup", crash_on_startup),
-    ("fallback_to_same_target_restarts", fallback_to_same_target_restarts),
-    ("incorrect_config_non_reporting", incorrect_config_non_reporting),
+    (
+        "fallback_to_same_target_restarts",
+        fallback_to_same_target_restarts,
+    ),
+    (
+        "incorrect_config_non_reporting",
+        incorrect_config_non_reporting,
+    ),
     ("parallel_launch", parallel_launch),
     ("process_complex_rep_failure", process_complex_rep_failure),
     ("process_crash_monitoring", process_crash_monitoring),
@@ -48,14 +54,30 @@ fn complex_monitoring() {
         target("monitored", &["driver", "beating"]),
     ]);
     rig.end_well();
-    assert!(rig.has("beaten"), "it was ended while it was alive: {}", rig.story());
+    assert!(
+        rig.has("beaten"),
+        "it was ended while it was alive: {}",
+        rig.story()
+    );
     assert_eq!(rig.events(&["beating: it was alive 0 times"]).len(), 1);
 }
 
 /// E-6: the crash of a process does not restart those that depend on it.
 fn crash_ignores_dependents() {
-    let crashing = ["ready", "wait:dependent", "crash-times:1", "append:normal", "pause"];
-    let dependent = ["append:dependent", "ready", "wait:normal", "lines:dependent=1", "term"];
+    let crashing = [
+        "ready",
+        "wait:dependent",
+        "crash-times:1",
+        "append:normal",
+        "pause",
+    ];
+    let dependent = [
+        "append:dependent",
+        "ready",
+        "wait:normal",
+        "lines:dependent=1",
+        "term",
+    ];
     let mut rig = Rig::start(&[
         head(),
         driver(&["to:both", "wait:normal", "sleep:50", "lines:dependent=1"]),
@@ -75,7 +97,11 @@ fn crash_on_startup() {
         let mut rig = Rig::start(&[
             head(),
             driver(&["to:crashing", "absent:fallback-ran"]),
-            process("crashing", &steps, &format!("restart = {{ times = {crashes} }}")),
+            process(
+                "crashing",
+                &steps,
+                &format!("restart = {{ times = {crashes} }}"),
+            ),
             tail(),
             target("crashing", &["driver", "crashing"]),
         ]);
@@ -95,7 +121,13 @@ fn crash_on_startup() {
 
 /// E-6: a process that crashed is started afresh if the fallback target holds it, too.
 fn fallback_to_same_target_restarts() {
-    let steps = ["ready", "sleep:50", "crash-times:1", "append:normal", "pause"];
+    let steps = [
+        "ready",
+        "sleep:50",
+        "crash-times:1",
+        "append:normal",
+        "pause",
+    ];
     let mut rig = Rig::start(&[
         head(),
         driver(&["to:crashing", "wait:normal"]),
@@ -111,7 +143,13 @@ fn fallback_to_same_target_restarts() {
 
 /// A process that reports, but should not by its manifest, is not disturbed by that.
 fn incorrect_config_non_reporting() {
-    let steps = ["no-variable:NOTIFY_SOCKET", "ready", "alive", "checkpoint:3", "append:reported"];
+    let steps = [
+        "no-variable:NOTIFY_SOCKET",
+        "ready",
+        "alive",
+        "checkpoint:3",
+        "append:reported",
+    ];
     let mut rig = Rig::start(&[
         head(),
         driver(&["to:native", "wait:reported"]),
@@ -128,7 +166,14 @@ fn incorrect_config_non_reporting() {
 fn parallel_launch() {
     let one = |name: &str| {
         let own = format!("append:started-{name}");
-        let steps = [&own, "wait:started-a", "wait:started-b", "wait:started-c", "ready", "pause"];
+        let steps = [
+            &own,
+            "wait:started-a",
+            "wait:started-b",
+            "wait:started-c",
+            "ready",
+            "pause",
+        ];
         process(name, &steps, "")
     };
     let mut rig = Rig::start(&[
@@ -164,7 +209,12 @@ fn not_ready_in_time(talk: &[&str], supervised: &str) {
     let late = process("late", &late, "").replace("ready-within = \"50s\"", &limits);
     let mut rig = Rig::start(&[
         head(),
-        driver(&["to:in-time", "absent:fallback-ran", "not-to:late", "wait:fallback-ran"]),
+        driver(&[
+            "to:in-time",
+            "absent:fallback-ran",
+            "not-to:late",
+            "wait:fallback-ran",
+        ]),
         process("in-time", &in_time, supervised),
         late,
         tail(),
@@ -172,7 +222,10 @@ fn not_ready_in_time(talk: &[&str], supervised: &str) {
         target("late", &["driver", "late"]),
     ]);
     rig.end_well();
-    assert_eq!(rig.events(&["late: it was not ready within 500 ms"]).len(), 1);
+    assert_eq!(
+        rig.events(&["late: it was not ready within 500 ms"]).len(),
+        1
+    );
 }
 
 /// E-6: the unexpected end of a process at run time leads to the fallback target.
@@ -185,16 +238,28 @@ fn process_crash_monitoring() {
         target("crashing", &["driver", "crashing"]),
     ]);
     rig.end_well();
-    assert_eq!(rig.events(&["crashing: it ended by signal 6"]).len(), 1);
+    assert_eq!(rig.events(&["crashing: it ended: signal: 6"]).len(), 1);
 }
 
 /// No process inherits a descriptor of the launcher, and a report leaves none open.
 fn process_fd_leak() {
     let native = ["descriptors", "append:native-done"];
-    let reporting = ["descriptors", "ready", "descriptors", "append:reporting-done", "pause"];
+    let reporting = [
+        "descriptors",
+        "ready",
+        "descriptors",
+        "append:reporting-done",
+        "pause",
+    ];
     let mut rig = Rig::start(&[
         head(),
-        driver(&["descriptors", "to:all", "descriptors", "wait:native-done", "wait:reporting-done"]),
+        driver(&[
+            "descriptors",
+            "to:all",
+            "descriptors",
+            "wait:native-done",
+            "wait:reporting-done",
+        ]),
         process("native", &native, "ready = \"exit\""),
         process("reporting", &reporting, ""),
         tail(),
@@ -211,6 +276,8 @@ fn process_launch_args() {
         "variable:VEHICLE=tandem",
         "no-variable:HOME",
         "append:checked",
+        "--",
+        "two words, \"quoted\"",
     ];
     let more = "ready = \"exit\"\nenvironment = { VEHICLE = \"tandem\" }";
     let mut rig = Rig::start(&[
@@ -234,7 +301,11 @@ fn process_wrong_binary_failure() {
         target("missing", &["driver", "missing"]),
     ]);
     rig.end_well();
-    assert_eq!(rig.events(&["missing: it did not start", "No such file"]).len(), 1);
+    assert_eq!(
+        rig.events(&["missing: it did not start", "No such file"])
+            .len(),
+        1
+    );
 }
 
 /// User, groups, folder, CPUs, priority and limits are those of the manifest; what the machine does
@@ -244,11 +315,21 @@ fn sandbox_options() {
     let user = "uid = 1234\ngid = 2345\ngroups = [3456, 4567]\n";
     let more = "ready = \"exit\"\ndirectory = \"inner\"\ncpus = [0]\npolicy = \"fifo\"\n\
         priority = 7\nlimits = { open-files = 32, core = 0, memory = 100000000 }\n";
-    let more = if is_root { format!("{user}{more}") } else { more.to_owned() };
-    let rig = Rig::prepare(&[
+    let more = if is_root {
+        format!("{user}{more}")
+    } else {
+        more.to_owned()
+    };
+    let placed = [
+        "copy:/proc/self/status=status",
+        "copy:/proc/self/limits=limits",
+        "copy:/proc/self/stat=stat",
+        "append:written",
+    ];
+    let mut rig = Rig::prepare(&[
         head(),
         driver(&["to:placed"]),
-        process("placed", &["tell:status", "append:limits"], &more),
+        process("placed", &placed, &more),
         tail(),
         target("placed", &["driver", "placed"]),
     ]);
@@ -256,20 +337,46 @@ fn sandbox_options() {
     std::fs::create_dir(&inner).unwrap();
     let all = std::os::unix::fs::PermissionsExt::from_mode(0o777);
     std::fs::set_permissions(&inner, all).unwrap();
-    let mut rig = rig;
     rig.launch(&[]);
     rig.end_well();
     let status = rig.text("inner/status");
     let field = |name: &str| {
-        let line = status.lines().find_map(|line| line.strip_prefix(name)).unwrap_or_default();
+        let line = status
+            .lines()
+            .find_map(|line| line.strip_prefix(name))
+            .unwrap_or_default();
         line.split_whitespace().collect::<Vec<_>>().join(" ")
     };
     assert_eq!(field("Cpus_allowed_list:"), "0", "{status}");
+    let limits = rig.text("inner/limits");
+    let has = |name: &str, value: &str| {
+        let mut lines = limits.lines().filter(|line| line.starts_with(name));
+        lines.any(|line| line.split_whitespace().filter(|it| *it == value).count() == 2)
+    };
+    assert!(has("Max open files", "32"), "{limits}");
+    assert!(has("Max core file size", "0"), "{limits}");
+    assert!(has("Max data size", "100000000"), "{limits}");
+    // Fields 40 and 41, the priority and the policy (1: SCHED_FIFO). proc(5)
+    let stat = rig.text("inner/stat");
+    let fields: Vec<_> = stat
+        .rsplit_once(')')
+        .unwrap()
+        .1
+        .split_whitespace()
+        .skip(37)
+        .collect();
+    let is_granted = rig.events(&["placed: not granted", "policy"]).is_empty();
+    assert_eq!(
+        fields[..2] == ["7", "1"],
+        is_granted,
+        "{stat}: {}",
+        rig.story()
+    );
     if is_root {
         assert_eq!(field("Uid:"), "1234 1234 1234 1234");
         assert_eq!(field("Gid:"), "2345 2345 2345 2345");
         assert_eq!(field("Groups:"), "3456 4567");
-        let written = std::fs::metadata(rig.path("inner/limits")).unwrap();
+        let written = std::fs::metadata(rig.path("inner/written")).unwrap();
         assert_eq!((written.uid(), written.gid()), (1234, 2345));
     }
 }
@@ -279,7 +386,11 @@ fn shutdown_signal() {
     let mut rig = Rig::start(&[
         head(),
         driver(&["to:running", "to:startup", "lines:termed=1"]),
-        process("stubborn", &["catch-term:termed"], "stop-within = \"300ms\""),
+        process(
+            "stubborn",
+            &["catch-term:termed"],
+            "stop-within = \"300ms\"",
+        ),
         tail(),
         target("running", &["driver", "stubborn"]),
     ]);
@@ -304,8 +415,20 @@ fn smoke() {
 /// Processes start after what they depend on is ready, and end before it. A process of both targets
 /// runs on.
 fn switch_run_target() {
-    let a = ["exists:b-ready", "append:a-started", "term", "absent:b-ended", "append:a-ended"];
-    let b = ["absent:a-started", "append:b-ready", "term", "exists:a-ended", "append:b-ended"];
+    let a = [
+        "exists:b-ready",
+        "append:a-started",
+        "term",
+        "absent:b-ended",
+        "append:a-ended",
+    ];
+    let b = [
+        "absent:a-started",
+        "append:b-ready",
+        "term",
+        "exists:a-ended",
+        "append:b-ended",
+    ];
     let d = ["append:d-started", "term", "append:d-ended"];
     let e = ["append:e-started", "term", "append:e-ended"];
     let steps = [
