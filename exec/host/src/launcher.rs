@@ -316,11 +316,17 @@ impl Shell<'_> {
     fn perform(&mut self, action: Action) -> Result<(), Unrecoverable> {
         match action {
             Action::Start(at) => match self.children.start(at)? {
-                Ok((pid, refused)) => {
+                Ok((pid, refused, unchecked)) => {
                     self.tell(LaunchEvent::Started {
                         process: self.name(at),
                         pid,
                     });
+                    if let Some(why) = unchecked {
+                        self.tell(LaunchEvent::Unchecked {
+                            process: self.name(at),
+                            why,
+                        });
+                    }
                     for what in refused {
                         self.tell(LaunchEvent::NotGranted {
                             process: self.name(at),

@@ -47,7 +47,7 @@ struct Running {
 }
 
 /// A process that was started: its id, and what was not granted. Or why it was not started.
-type Start = Result<(u32, Vec<&'static str>), String>;
+type Start = Result<(u32, Vec<&'static str>, Option<String>), String>;
 
 impl Children {
     pub(super) fn new(
@@ -87,6 +87,7 @@ impl Children {
                 return refused(&error, error.to_string());
             }
         }
+        let unchecked = trusted.warning.take();
         let mut command = trusted.command;
         command.args(&plan.arguments);
         if plan.reports() {
@@ -130,7 +131,7 @@ impl Children {
             *place = Some(Running { child, watched });
         }
         refusals.extend(wishes.into_iter().map(in_words));
-        Ok(Ok((pid, refusals)))
+        Ok(Ok((pid, refusals, unchecked)))
     }
 
     /// Leads standard output and standard error to the file of the manifest.

@@ -24,6 +24,9 @@ pub enum LaunchEvent {
     /// The machine does not grant a process this; it runs without.
     #[allow(missing_docs)]
     NotGranted { process: String, what: &'static str },
+    /// A process runs although it is not what was signed, in monitor mode.
+    #[allow(missing_docs)]
+    Unchecked { process: String, why: String },
     /// A process is ready.
     #[allow(missing_docs)]
     Ready { process: String },
@@ -50,6 +53,7 @@ impl fmt::Display for Told {
             LaunchEvent::NotGranted { process, what } => {
                 write!(f, "{process}: not granted by this machine: {what}")
             }
+            LaunchEvent::Unchecked { process, why } => write!(f, "{process}: {why}"),
             LaunchEvent::Ready { process } => write!(f, "{process}: ready"),
             LaunchEvent::Failed { process, why, next } => {
                 write!(f, "{process}: {why}; next: {next}")
