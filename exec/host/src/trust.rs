@@ -57,9 +57,9 @@ const MAX_TEXT_BYTES: u64 = 4 << 20;
 /// Variables by which the loader, the C library or an interpreter reads files that were not
 /// checked (glibc, `sysdeps/generic/unsecvars.h`; manuals of the shells and of Python, Perl).
 const FORBIDDEN: &str = "BASH_ENV ENV GCONV_PATH GETCONF_DIR GLIBC_TUNABLES HOSTALIASES IFS \
-    LOCALDOMAIN LOCPATH MALLOC_TRACE NIS_PATH NLSPATH NODE_OPTIONS OPENSSL_CONF OPENSSL_ENGINES OPENSSL_MODULES \
-    PERL5DB PERL5LIB PERL5OPT PYTHONHOME PYTHONPATH PYTHONSTARTUP RESOLV_HOST_CONF \
-    RES_OPTIONS RUBYOPT TZDIR";
+    LOCALDOMAIN LOCPATH MALLOC_TRACE NIS_PATH NLSPATH NODE_OPTIONS OPENSSL_CONF \
+    OPENSSL_ENGINES OPENSSL_MODULES PERL5DB PERL5LIB PERL5OPT PYTHONHOME PYTHONPATH PYTHONSTARTUP \
+    RESOLV_HOST_CONF RES_OPTIONS RUBYOPT TZDIR";
 
 /// Why a platform, or one program of it, is not trusted.
 #[derive(Debug, thiserror::Error)]
@@ -455,11 +455,10 @@ impl Platform {
                 match checked.start(&name.to_string_lossy(), path.as_os_str(), true) {
                     Ok(start) => return Ok(TrustedCommand::new(start, mode)),
                     Err(error) if mode == Mode::Strict => return Err(error),
-                    Err(error) => Some(error),
+                    Err(error) => Some(error.to_string()),
                 }
             }
-            // The list is wrong, and `warning` says so.
-            _ => None,
+            _ => self.warning.as_ref().map(ToString::to_string),
         };
         let mut command = Command::new(path);
         if self.mode.is_some() {
@@ -515,7 +514,7 @@ pub struct TrustedCommand {
     /// The descriptors that the process inherits, without close-on-exec.
     pub keep: Vec<Arc<OwnedFd>>,
     /// Why the file starts unchecked, in monitor mode. Log it.
-    pub warning: Option<TrustError>,
+    pub warning: Option<String>,
     mode: Option<Mode>,
 }
 
@@ -547,7 +546,7 @@ impl TrustedCommand {
             if self.mode == Some(Mode::Strict) {
                 return Err(error);
             }
-            self.warning.get_or_insert(error);
+            self.warning.get_or_insert(error.to_string());
         }
         self.command.env(name, value);
         Ok(())
