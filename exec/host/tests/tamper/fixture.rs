@@ -125,11 +125,11 @@ impl Fixture {
     fn copy_system(&self) {
         let maps = fs::read_to_string("/proc/self/maps").unwrap();
         let mapped = |prefix: &str| {
-            let paths = maps
+            let mut paths = maps
                 .lines()
                 .filter_map(|line| line.split_once('/').map(|it| it.1));
-            let path = paths.filter(|path| path.rsplit('/').next().unwrap().starts_with(prefix));
-            fs::read(format!("/{}", path.last().expect(prefix))).unwrap()
+            let is_it = |path: &&str| path.rsplit('/').next().unwrap().starts_with(prefix);
+            fs::read(format!("/{}", paths.rfind(is_it).expect(prefix))).unwrap()
         };
         let libc = mapped("libc.so");
         self.write("lib/ld.so", &mapped("ld-"));

@@ -243,12 +243,11 @@ fn openssl_makes_and_verifies_signatures() {
 /// Returns the loader of this program.
 fn parts_loader() -> PathBuf {
     let maps = fs::read_to_string("/proc/self/maps").unwrap();
-    let paths = maps
+    let mut paths = maps
         .lines()
         .filter_map(|line| line.find('/').map(|at| &line[at..]));
     paths
-        .filter(|path| path.contains("/ld-"))
-        .last()
+        .rfind(|path| path.contains("/ld-"))
         .expect("a loader")
         .into()
 }
