@@ -37,7 +37,9 @@ fn is_replaced(run: &mut Run, master: &str, signs: &[&str]) {
     let mut all = metrics["takeovers"].as_array().unwrap().iter();
     let takeover = all.find(|it| it["from"] == master).unwrap();
     let sign = takeover["cause"].as_str().unwrap();
-    assert!(signs.contains(&sign), "{metrics:#}");
+    // A stall of the machine that was seen at that time silences a master that would have resigned.
+    let is_stalled = takeover["held_up"] == true && GONE.contains(&sign);
+    assert!(signs.contains(&sign) || is_stalled, "{metrics:#}");
 }
 
 /// T-CHIP-5, T-RED-4, T-RED-9: a power loss of the master causes a takeover.
