@@ -113,6 +113,11 @@ fn tell_sent<S: Scale>(
     }
 }
 
+/// Returns the nearest number that a record holds.
+fn clamped(ns: i64) -> i32 {
+    ns.clamp(i32::MIN.into(), i32::MAX.into()) as i32
+}
+
 /// The time of a process that follows the grandmaster.
 pub(crate) struct Follower {
     slave: Slave<Arbitrary>,
@@ -162,7 +167,7 @@ impl Follower {
                 *newest = Some(ClockSample {
                     at_ns: now.as_ns(),
                     source: TimeSource::Grandmaster as u8,
-                    offset_ns: i32::try_from(base.offset_ns()).unwrap_or(i32::MAX),
+                    offset_ns: clamped(base.offset_ns()),
                     delay_ns: u32::try_from(delay.as_ns()).unwrap_or(u32::MAX),
                     error_ns: u32::try_from(sample.error.as_ns()).unwrap_or(u32::MAX),
                 });
@@ -188,5 +193,17 @@ impl Follower {
             sample: self.sample,
             why,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::clamped;
+
+    /// S-5: an offset of seconds keeps its sign.
+    #[test]
+    fn an_offset_keeps_its_sign() {
+        let offsets = [-5_000_000_000, -7, 0, 7, 5_000_000_000];
+        assert_eq!(offsets.map(clamped), [i32::MIN, -7, 0, 7, i32::MAX]);
     }
 }

@@ -53,7 +53,7 @@ const SYS_PAUSE: i64 = libc::SYS_pause;
 #[cfg(not(target_arch = "x86_64"))]
 const SYS_PAUSE: i64 = libc::SYS_ppoll;
 
-const STATED: [Stated; 6] = [
+const STATED: [Stated; 7] = [
     Stated(
         SYS_PAUSE,
         "pause",
@@ -65,6 +65,12 @@ const STATED: [Stated; 6] = [
         "timerfd_settime",
         EACH_TICK,
         "postpones the timer that watches the CPU for stalls",
+    ),
+    Stated(
+        libc::SYS_timer_settime,
+        "timer_settime",
+        EACH_TICK,
+        "moves the next tick to the vehicle's time, if it is more than 1 us off",
     ),
     Stated(
         libc::SYS_rt_sigreturn,

@@ -235,7 +235,7 @@ mod tests {
         }
     }
 
-    /// Returns what a reader sees of so many senders, until it has seen the last edge.
+    /// Returns the edges that a reader sees while this number of senders send, and the last one.
     fn seen_of(senders: u32) -> Vec<TimeEdge> {
         const EDGES: u32 = if cfg!(miri) { 50 } else { 100_000 };
         let (count, stamps) = (AtomicU32::new(0), words());

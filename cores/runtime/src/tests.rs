@@ -34,7 +34,7 @@ impl Periodic {
     fn wake(&mut self, now: Instant, ticks: TickGrid) {
         self.grid.shift(self.ticks.moved_ns(&ticks));
         self.ticks = ticks;
-        let release = self.grid.release(now).expect("polled in vain");
+        let release = self.grid.release(now).expect("polled before its release");
         assert_eq!((release.at, release.missed), (ticks.origin, 0));
     }
 

@@ -6,6 +6,7 @@ use tandem_board_sim::{Poller, SimBoard};
 use tandem_cores::Config;
 use tandem_cores::core0::{
     Core0Task, Driving, Executor, MonitoringTask, Parts, RolesTask, SharedState, TaskBody, TaskSet,
+    Tasks,
 };
 use tandem_cores::trace::{Begin, Event, Leaves};
 
@@ -30,7 +31,8 @@ pub(crate) struct OneFlow {
     board: &'static SimBoard,
     shared: RefCell<SharedState<'static, SimBoard>>,
     drive: RefCell<Driving>,
-    released: Cell<TaskSet>,
+    /// The tasks that others have released in this round.
+    pub(crate) released: Cell<TaskSet>,
     /// Number of sections that the running task has begun.
     pub(crate) sections: Cell<u32>,
     /// Whether a job has begun since this was cleared.
@@ -40,6 +42,26 @@ pub(crate) struct OneFlow {
 }
 
 impl OneFlow {
+    /// Starts core 0 with the profile rt. Also returns its tasks.
+    pub(crate) fn start(board: &SimBoard) -> (Self, Tasks<'static, SimBoard>) {
+        let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
+        let Parts {
+            shared,
+            drive,
+            tasks,
+        } = Parts::new(board, Config::rt());
+        let executor = Self {
+            board,
+            shared: RefCell::new(shared),
+            drive: RefCell::new(drive),
+            released: Cell::new(TaskSet::NONE),
+            sections: Cell::new(0),
+            has_begun: Cell::new(false),
+            preempts: RefCell::new(None),
+        };
+        (executor, tasks)
+    }
+
     /// Counts the section that begins. If the urgent tasks are due before it, runs them first.
     fn section(&self) {
         self.sections.set(self.sections.get() + 1);
@@ -95,21 +117,8 @@ pub(crate) fn core_0(
     preempts: Option<u32>,
     after: impl Fn(Core0Task, &OneFlow) + 'static,
 ) -> Poller {
-    let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
-    let Parts {
-        shared,
-        drive,
-        mut tasks,
-    } = Parts::new(board, Config::rt());
-    let executor = OneFlow {
-        board,
-        shared: RefCell::new(shared),
-        drive: RefCell::new(drive),
-        released: Cell::new(TaskSet::NONE),
-        sections: Cell::new(0),
-        has_begun: Cell::new(false),
-        preempts: RefCell::new(None),
-    };
+    let (executor, mut tasks) = OneFlow::start(board);
+    let board = executor.board;
     let mut control_due = board.now();
     let mut urgent = Some(Urgent {
         roles: tasks.roles,

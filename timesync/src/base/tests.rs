@@ -397,7 +397,7 @@ fn the_first_sample_after_a_time_out_is_doubted() {
     assert!(bench.shown(LATE).error < before);
 }
 
-/// S-5: whoever sees that the local clock went back tells it, before a sample comes.
+/// S-5: a local clock that went back is told when the base is asked to look, before a sample.
 #[test]
 fn a_clock_that_goes_back_is_a_time_out() {
     let mut bench = Bench::new(40_000, 200, 6, 20);

@@ -59,7 +59,7 @@ fn base() {
         "time/sample",
         || (),
         |number| {
-            at = at + PERIOD;
+            at += PERIOD;
             let sample = Sample {
                 local: stamped(at, number),
                 global: truth(at),
@@ -141,7 +141,7 @@ fn gptp() {
         "time/gptp",
         || (),
         |number| {
-            at = at + PERIOD;
+            at += PERIOD;
             master.poll(at, time, &mut down);
             let arrives = black_box(stamped(at + wire, number));
             let mut sample = None;

@@ -1,15 +1,16 @@
 //! The redundancy never depends on the time: a lying one during a takeover changes nothing.
 
+use crate::one_flow::OneFlow;
 use crate::time::watch::{MS, Watch};
-use std::cell::{Cell, RefCell};
+use std::cell::Cell;
 use std::rc::Rc;
 use tandem_board::{Board as _, CoreId, Duration, Instant, ResetCause, SystemId};
 use tandem_board_sim::{Poller, SimBoard};
 use tandem_bus::e2e::protect;
 use tandem_cores::Config;
-use tandem_cores::core0::{Core0Task, Driving, Executor, Parts, SharedState, TaskSet};
+use tandem_cores::core0::{Core0Task, TaskSet};
 use tandem_cores::layout::VEHICLE_TIME;
-use tandem_cores::trace::{Begin, Event, Leaves};
+use tandem_cores::trace::Event;
 use tandem_peripherals::memory::scribble;
 use tandem_redundancy::Evidence;
 use tandem_sim::drive::poller;
@@ -105,57 +106,10 @@ fn with_cycles(lie: Lie, lies: Rc<Cell<bool>>) -> impl FnMut(Instant, &[u32]) ->
     }
 }
 
-/// Core 0 whose tasks run one after the other, as [`Core0`](tandem_cores::core0::Core0) has them,
-/// but the task of time only until it starves.
-struct Starved {
-    board: &'static SimBoard,
-    shared: RefCell<SharedState<'static, SimBoard>>,
-    drive: RefCell<Driving>,
-    released: Cell<TaskSet>,
-}
-
-impl Executor<'static, SimBoard> for Starved {
-    fn shared<R>(&self, body: impl FnOnce(&mut SharedState<'static, SimBoard>) -> R) -> R {
-        body(&mut self.shared.borrow_mut())
-    }
-
-    fn drive<R>(&self, body: impl FnOnce(&mut Driving) -> R) -> R {
-        body(&mut self.drive.borrow_mut())
-    }
-
-    fn release(&self, tasks: TaskSet) {
-        self.released.set(self.released.get() | tasks);
-    }
-
-    fn held_back(&self) -> u32 {
-        0
-    }
-
-    fn begins(&self, task: Core0Task, begin: Begin) {
-        let task = task.info().code;
-        self.board.trace(Event::TaskIn { task, begin }.encode());
-    }
-
-    fn ends(&self, task: Core0Task) {
-        let (task, leaves) = (task.info().code, Leaves::Done);
-        self.board.trace(Event::TaskOut { task, leaves }.encode());
-    }
-}
-
-/// `starves`: whether the task of time runs no more.
+/// Core 0 whose tasks run one after the other, but the task of time only until it starves.
 fn starved(board: &SimBoard, starves: Rc<Cell<bool>>) -> Poller {
-    let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
-    let Parts {
-        shared,
-        drive,
-        mut tasks,
-    } = Parts::new(board, Config::rt());
-    let executor = Starved {
-        board,
-        shared: RefCell::new(shared),
-        drive: RefCell::new(drive),
-        released: Cell::new(TaskSet::NONE),
-    };
+    let board = board.clone();
+    let (executor, mut tasks) = OneFlow::start(&board);
     let mut due = [board.now(); Core0Task::ALL.len()];
     Box::new(move |_| {
         executor.released.set(TaskSet::NONE);

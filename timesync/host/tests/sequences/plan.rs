@@ -65,7 +65,8 @@ pub(crate) enum Incident {
     Jump(Place, i64),
     /// A clock has this rate from now on, ppb.
     Rate(Place, i64),
-    /// The other system drives from now on. The old one runs on, or restarts after so many ms.
+    /// The other system drives from now on. The old one still runs, or restarts after this time,
+    /// ms.
     Takeover(Option<u64>),
     /// A sensor restarts.
     SensorRestarts,
