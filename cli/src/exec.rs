@@ -9,7 +9,7 @@ use anyhow::{Context as _, anyhow};
 use serde::Deserialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tandem_exec_host::launcher::{
-    self, GuardEnd, GuardPlan, Guardian, ProcessLauncher, ProcessRow, Told,
+    self, GuardEnd, GuardPlan, Guardian, OpenError, ProcessLauncher, ProcessRow, Told,
 };
 use tandem_exec_host::manifest::Manifest;
 
@@ -93,7 +93,7 @@ fn guard(args: &ExecRunArgs) -> Result<(), Failure> {
 fn launch(args: &ManifestArgs) -> Result<(), Failure> {
     let stops = signals(&[SIGTERM])?;
     let opened = ProcessLauncher::open(&args.manifest, args.anchor.as_deref());
-    let launcher = opened.map_err(Failure::usage)?;
+    let launcher = opened.map_err(refused)?;
     let mut tell = |told: &Told| {
         let line = match args.json {
             true => serde_json::to_string(told).unwrap_or_default(),
@@ -111,9 +111,14 @@ fn launch(args: &ManifestArgs) -> Result<(), Failure> {
     }
 }
 
+/// The text of the error has that of its sources already.
+fn refused(error: OpenError) -> Failure {
+    Failure::Usage(anyhow!("{error}"))
+}
+
 fn check(args: &ManifestArgs) -> Result<(), Failure> {
     let checked = launcher::check(&args.manifest, args.anchor.as_deref());
-    let manifest = checked.map_err(Failure::usage)?;
+    let manifest = checked.map_err(refused)?;
     let name = |at: &usize| manifest.processes[*at].name();
     let names = |of: &[usize]| of.iter().map(name).collect::<Vec<_>>().join(", ");
     if args.json {
