@@ -5,11 +5,12 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 use tandem_boot::ed25519;
 
-use super::{Anchor, Reason};
+use super::{Anchor, Why};
 
 const SIGNATURE_LINE: &str = "# signature ";
+const NOT_VERIFIED: &str = "the signature does not verify";
 /// The version of the format.
-const VERSION: u32 = 1;
+pub(super) const VERSION: u32 = 1;
 
 /// The use of a part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -45,7 +46,7 @@ pub struct PartEntry {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub(super) struct List {
-    version: u32,
+    pub(super) version: u32,
     /// Refused if below the anchor's, so that an old platform does not return.
     pub(super) security_counter: u32,
     #[serde(rename = "part")]
@@ -53,85 +54,67 @@ pub(super) struct List {
 }
 
 impl List {
-    pub(super) const fn new(security_counter: u32, parts: Vec<PartEntry>) -> Self {
-        Self {
-            version: VERSION,
-            security_counter,
-            parts,
-        }
-    }
-
     /// Returns the signed text. `sign` returns the signature of these bytes.
     pub(super) fn signed(
         &self,
         key: u8,
         sign: impl FnOnce(&[u8]) -> [u8; 64],
-    ) -> Result<String, Reason> {
+    ) -> Result<String, Why> {
         self.check()?;
-        let text = toml::to_string(self).map_err(|error| Reason::Format(error.to_string()))?;
+        let text = toml::to_string(self)?;
         let signature = hex(&sign(text.as_bytes()));
         Ok(format!("{text}{SIGNATURE_LINE}{key} {signature}\n"))
     }
 
     /// Verifies the signature of a text, and only then reads it.
-    pub(super) fn authentic(bytes: &[u8], anchor: &Anchor) -> Result<Self, Reason> {
-        let text = std::str::from_utf8(bytes).map_err(|_| Reason::Format("not UTF-8".into()))?;
-        let at = text.rfind(SIGNATURE_LINE).ok_or(Reason::Signature)?;
-        let (message, line) = text.split_at(at);
-        let line = &line[SIGNATURE_LINE.len()..];
-        let (number, digits) = line.split_once(' ').ok_or(Reason::Signature)?;
-        let key: u8 = number.parse().map_err(|_| Reason::Key)?;
-        let digits = digits.strip_suffix('\n').ok_or(Reason::Signature)?;
-        let signature: [u8; 64] = unhex(digits).ok_or(Reason::Signature)?;
+    pub(super) fn authentic(bytes: &[u8], anchor: &Anchor) -> Result<Self, Why> {
+        let (message, line) = str::from_utf8(bytes)?
+            .rsplit_once(SIGNATURE_LINE)
+            .ok_or(NOT_VERIFIED)?;
+        let line = line.strip_suffix('\n').and_then(|it| it.split_once(' '));
+        let (number, digits) = line.ok_or(NOT_VERIFIED)?;
+        let signature = unhex(digits).ok_or(NOT_VERIFIED)?;
         // Each list has one form: `+1` and `01` are no numbers of keys.
-        let public = anchor.keys.get(usize::from(key));
-        let public = public
-            .filter(|_| key >= anchor.lowest_key && key.to_string() == number)
-            .ok_or(Reason::Key)?;
-        if !ed25519(public, message.as_bytes(), &signature) {
-            return Err(Reason::Signature);
+        let keys = anchor.keys.iter().enumerate();
+        let key = keys
+            .skip(anchor.lowest_key.into())
+            .find(|(at, _)| at.to_string() == number)
+            .and_then(|(_, key)| unhex(key))
+            .ok_or("signed by an unknown or a retired key")?;
+        if !ed25519(&key, message.as_bytes(), &signature) {
+            return Err(NOT_VERIFIED.into());
         }
-        let list: Self =
-            toml::from_str(message).map_err(|error| Reason::Format(error.to_string()))?;
+        let list = toml::from_str(message);
+        let list: Self = list.map_err(|error| format!("not a list of parts: {error}"))?;
         if list.security_counter < anchor.lowest_counter {
-            return Err(Reason::Old);
+            return Err("its security counter is below the lowest that the anchor accepts".into());
         }
         list.check()?;
         Ok(list)
     }
 
     /// The rules for each list, also a signed one.
-    fn check(&self) -> Result<(), Reason> {
-        if self.version != VERSION {
-            return Err(Reason::Format(format!("version {}", self.version)));
-        }
+    fn check(&self) -> Result<(), Why> {
         let mut names = BTreeSet::new();
-        let mut manifests = 0;
-        for part in &self.parts {
-            if !names.insert((part.kind, part.name.as_str())) {
-                return Err(Reason::Twice(part.name.clone()));
-            }
-            if part.path.split('/').any(|step| matches!(step, "." | ".."))
-                || part.path.is_empty()
-                || part.path.contains('\0')
-            {
-                return Err(Reason::Path(part.path.clone()));
-            }
-            if unhex::<32>(&part.sha256).is_none() {
-                return Err(Reason::Format(format!("SHA-256 of {}", part.name)));
-            }
-            manifests += usize::from(part.kind == PartKind::Manifest);
+        let is_manifest = |part: &&PartEntry| part.kind == PartKind::Manifest;
+        let manifests = self.parts.iter().filter(is_manifest).count();
+        if self.version != VERSION || manifests != 1 {
+            let version = self.version;
+            return Err(format!("it is of version {version}, with {manifests} manifests").into());
         }
-        if manifests != 1 {
-            return Err(Reason::Format(format!("{manifests} manifests")));
+        for PartEntry {
+            kind, name, path, ..
+        } in &self.parts
+        {
+            if !names.insert((kind, name)) {
+                return Err(format!("{name} stands in it twice").into());
+            }
+            let is_plain = path.split('/').all(|step| step != "." && step != "..");
+            if !is_plain || path.is_empty() || path.contains('\0') {
+                return Err(format!("{path:?} is no plain path").into());
+            }
         }
         Ok(())
-    }
-
-    /// Returns the index of a part.
-    pub(super) fn find(&self, kind: PartKind, name: &str) -> Option<usize> {
-        let is_it = |part: &PartEntry| part.kind == kind && part.name == name;
-        self.parts.iter().position(is_it)
     }
 }
 
@@ -142,18 +125,9 @@ pub(super) fn hex(bytes: &[u8]) -> String {
 
 /// Reads exactly `N` bytes in small hexadecimal digits. Each value has one form.
 pub(super) fn unhex<const N: usize>(text: &str) -> Option<[u8; N]> {
-    let digit = |byte: u8| match byte {
-        b'0'..=b'9' => Some(byte - b'0'),
-        b'a'..=b'f' => Some(byte - b'a' + 10),
-        _ => None,
-    };
-    let pairs = text.as_bytes().as_chunks::<2>();
-    if pairs.0.len() != N || !pairs.1.is_empty() {
-        return None;
-    }
-    let mut bytes = [0; N];
-    for (byte, [high, low]) in bytes.iter_mut().zip(pairs.0) {
-        *byte = digit(*high)? << 4 | digit(*low)?;
-    }
-    Some(bytes)
+    let pairs = text.as_bytes().as_chunks::<2>().0.iter();
+    let byte = |pair: &[u8; 2]| u8::from_str_radix(str::from_utf8(pair).ok()?, 16).ok();
+    let bytes: Option<Vec<u8>> = pairs.map(byte).collect();
+    let bytes: [u8; N] = bytes?.try_into().ok()?;
+    (hex(&bytes) == text).then_some(bytes)
 }

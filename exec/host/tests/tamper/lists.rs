@@ -1,10 +1,15 @@
 //! Lists that are signed by a good key, and must be refused all the same.
 
-use std::path::Path;
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
 
+use sha2::{Digest as _, Sha256};
 use tandem_boot_host::SigningKey;
+use tandem_exec_host::trust::sign;
 
-use crate::fixture::{Fixture, KEY, LIST, MANIFEST, Outcome, RETIRED};
+use crate::fixture::{ANCHOR, Fixture, KEY, LIST, MANIFEST, Outcome, RETIRED};
 
 /// Returns a text with a signature under it.
 fn signed(text: &str, key: &SigningKey) -> String {
@@ -156,4 +161,62 @@ pub(crate) fn each(fixture: &Fixture, mut count: impl FnMut(String, Outcome)) {
         fixture.attempt("bin/static", || {}),
         fixture.expected("bin/static")
     );
+}
+
+/// E-4: a library whose auditors or filters the loader would read by their paths is neither signed
+/// nor started, also if a good key has signed it.
+#[test]
+fn auditors_and_filters_are_refused() {
+    let fixture = Fixture::new();
+    let file = "lib/libsecond.so";
+    let entry = |bytes: &[u8]| {
+        let digest = Sha256::digest(bytes);
+        let digits = digest.iter().map(|byte| format!("{byte:02x}"));
+        let digits = digits.collect::<String>();
+        format!("length = {}\nsha256 = \"{digits}\"", bytes.len())
+    };
+    let list = String::from_utf8(fixture.good[LIST].clone()).unwrap();
+    let text = &list[..list.rfind("# signature ").unwrap()];
+    let good = entry(&fixture.good[file]);
+    assert!(text.contains(&good), "{good}");
+    for word in ["--audit", "--depaudit", "--filter", "--auxiliary"] {
+        let mut cc = Command::new("cc");
+        cc.args(["-shared", "-fPIC", "-nostdlib", "-DTOKEN=\"\""]);
+        cc.arg("-Wl,-soname,libsecond.so");
+        cc.arg(format!("-Wl,{word}=libc.so.6")).arg("-o");
+        cc.arg(fixture.path(file)).arg(concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/tests/tamper/programs/second.c"
+        ));
+        assert!(cc.status().expect("cc").success(), "{cc:?}");
+        let programs = [PathBuf::from("bin/dynamic")];
+        let signature = |message: &[u8]| KEY.sign(message);
+        let refused = sign(&fixture.path(MANIFEST), &programs, 5, KEY.number, signature);
+        let why = refused.unwrap_err().to_string();
+        assert!(why.contains("auditors or filters"), "{word}: {why}");
+        let changed = text.replace(&good, &entry(&fixture.read(file)));
+        fixture.write(LIST, signed(&changed, &KEY).as_bytes());
+        let outcome = fixture.attempt("bin/dynamic", || {});
+        assert!(
+            matches!(&outcome, Outcome::Refused(why) if why.contains("auditors or filters")),
+            "{word}: {outcome:?}"
+        );
+    }
+    fixture.restore(file);
+    fixture.restore(LIST);
+    let outcome = fixture.attempt("bin/dynamic", || {});
+    assert_eq!(outcome, fixture.expected("bin/dynamic"));
+}
+
+/// E-4: an anchor that every user may write proves nothing.
+#[test]
+fn an_anchor_that_every_user_may_write_is_refused() {
+    let fixture = Fixture::new();
+    for (mode, is_good) in [(0o646, false), (0o602, false), (0o644, true), (0o660, true)] {
+        std::fs::set_permissions(fixture.path(ANCHOR), Permissions::from_mode(mode)).unwrap();
+        match fixture.attempt("bin/static", || {}) {
+            Outcome::Refused(why) => assert!(!is_good && why.contains("every user"), "{why}"),
+            outcome => assert_eq!((outcome, is_good), (fixture.expected("bin/static"), true)),
+        }
+    }
 }
