@@ -84,7 +84,7 @@ fn main() -> ExitCode {
 /// asks for.
 fn run(case: &Candidate) {
     let name = case.full_name();
-    // The machine's `/dev/shm`: the nodes of iceoryx2 there are also seen by the tests beside this one.
+    // The machine's `/dev/shm`: tests beside this one see the nodes of iceoryx2 there, too.
     let place = isolation::enter_shared().unwrap();
     let system: &'static UnsupervisedSystem =
         Box::leak(Box::new(UnsupervisedSystem::power_on(&place).unwrap()));
