@@ -523,8 +523,9 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
             command
         }
         Campaign::Activations { seconds } => {
-            let mut command = trial("activation", &[])?;
-            command.args(["overruns", &seconds.to_string()]);
+            let mut command = cargo(root, &["run", "--quiet", "--release", "--workspace"]);
+            command.args(["--bin", "tandem-bench", "--", "overruns", "--seconds"]);
+            command.arg(seconds.to_string());
             command
         }
         Campaign::Tamper { json } => {
