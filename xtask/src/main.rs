@@ -523,9 +523,8 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
             command
         }
         Campaign::Activations { seconds } => {
-            let mut command = cargo(root, &["run", "--quiet", "--release", "--workspace"]);
-            command.args(["--bin", "tandem-bench", "--", "overruns", "--seconds"]);
-            command.arg(seconds.to_string());
+            let mut command = cargo(root, &["run", "--release", "-p", "tandem-benches", "--"]);
+            command.args(["overruns", "--seconds", &seconds.to_string()]);
             command
         }
         Campaign::Tamper { json } => {

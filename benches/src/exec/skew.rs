@@ -60,8 +60,8 @@ pub(crate) fn floor(plan: &BatchPlan, spin_ns: u64) -> io::Result<Batch> {
     Ok(skew_of(&shared))
 }
 
-/// Two deterministic clients of a sync master, which spin for the last `spin_ns` of a wait; the master
-/// runs beside them.
+/// Two deterministic clients of a sync master, which spin for the last `spin_ns` of a wait; the
+/// master runs beside them.
 /// A sample is the difference of their lateness in a cycle that both ran.
 pub(crate) fn clients(plan: &BatchPlan, spin_ns: u64) -> io::Result<Batch> {
     let shared = SharedPage::new()?;
