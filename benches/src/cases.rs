@@ -11,7 +11,6 @@ use crate::tandem::{lock, sync};
 use crate::{floor, noise, rtos, tandem, topics};
 use clap::ValueEnum as _;
 use std::io;
-use tandem_exec_host::sync::Wait;
 use tandem_shm::wait::WaitPolicy::{self, Sleep, Spin, SpinThenSleep};
 
 /// Cases that are compared with each other.
@@ -266,8 +265,9 @@ const CASES: &[Cases] = &[
     ]),
     // Each cycle takes a millisecond.
     (Comparison::Exec, 100, &[
-        ("skew", "two deterministic clients, 1 kHz, sleeping", |p| skew::clients(p, Wait::Sleep)),
-        ("skew-spin", "the same, the last 100 us spinning", |p| skew::clients(p, skew::SPIN)),
+        ("skew", "two deterministic clients, 1 kHz, sleeping", |p| skew::clients(p, 0)),
+        ("skew-spin", "the same, the last 100 us spinning", 
+            |p| skew::clients(p, skew::SPIN_NS)),
         ("skew-floor", "two processes in clock_nanosleep to the same instants, 1 kHz",
             |p| skew::floor(p, 0)),
         ("skew-spin-floor", "the same, the last 100 us spinning",

@@ -123,7 +123,7 @@ fn check(args: &ManifestArgs) -> Result<(), Failure> {
     let names = |of: &[usize]| of.iter().map(name).collect::<Vec<_>>().join(", ");
     if args.json {
         let targets = manifest.targets.iter().map(|target| {
-            let members: Vec<_> = target.members().iter().map(name).collect();
+            let members: Vec<_> = target.members.iter().map(name).collect();
             (target.name().to_owned(), members)
         });
         let targets: std::collections::BTreeMap<_, _> = targets.collect();
@@ -142,7 +142,7 @@ fn check(args: &ManifestArgs) -> Result<(), Failure> {
         vec![
             target.name().to_owned(),
             what.to_owned(),
-            names(target.members()),
+            names(&target.members),
         ]
     });
     let targets: Vec<_> = targets.collect();
@@ -153,7 +153,7 @@ fn check(args: &ManifestArgs) -> Result<(), Failure> {
 fn rows(manifest: &Manifest, names: &dyn Fn(&[usize]) -> String) -> Vec<Vec<String>> {
     let processes = manifest.processes.iter();
     let row = |it: &tandem_exec_host::manifest::ProcessPlan| {
-        vec![it.name().to_owned(), names(it.dependencies())]
+        vec![it.name().to_owned(), names(&it.dependencies)]
     };
     processes.map(row).collect()
 }

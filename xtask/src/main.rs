@@ -523,8 +523,8 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
             command
         }
         Campaign::Activations { seconds } => {
-            let mut command = trial("activation", &[])?;
-            command.args(["overruns", &seconds.to_string()]);
+            let mut command = cargo(root, &["run", "--release", "-p", "tandem-benches", "--"]);
+            command.args(["overruns", "--seconds", &seconds.to_string()]);
             command
         }
         Campaign::Tamper { json } => {

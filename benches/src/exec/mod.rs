@@ -1,5 +1,6 @@
-//! Execution: ten processes from start to ready, restarts, and the skew of activations.
+//! Execution: ten processes from start to ready, restarts, and activations: skew, overruns.
 
+pub(crate) mod overruns;
 pub(crate) mod skew;
 mod supervisors;
 mod ten_processes;

@@ -7,18 +7,18 @@ use crate::worker::{BatchPart, ask_for_fifo, perform};
 use std::hint::spin_loop;
 use std::io;
 use std::ops::Range;
-use tandem_board::Duration;
+use tandem_board::{Duration, Instant};
+use tandem_board_host::clock::now;
+use tandem_exec::client::Activated;
 use tandem_exec::master::Config;
 use tandem_exec::message::{Activation, ClientId};
-use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace, Wait};
+use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace};
 
 /// Period of the cycles, ns.
-const PERIOD_NS: u64 = 1_000_000;
+pub(super) const PERIOD_NS: u64 = 1_000_000;
 /// The last part of a wait that may be spent spinning, ns.
 pub(crate) const SPIN_NS: u64 = 100_000;
-/// The same for a client.
-pub(crate) const SPIN: Wait = Wait::SpinLast(Duration::from_ns(SPIN_NS));
-const CONFIG: Config = Config {
+pub(super) const CONFIG: Config = Config {
     clients: 2,
     quorum: 2,
     candidates: 1,
@@ -60,9 +60,10 @@ pub(crate) fn floor(plan: &BatchPlan, spin_ns: u64) -> io::Result<Batch> {
     Ok(skew_of(&shared))
 }
 
-/// Two deterministic clients of a sync master, which wait in this way; the master runs beside them.
+/// Two deterministic clients of a sync master, which spin for the last `spin_ns` of a wait; the
+/// master runs beside them.
 /// A sample is the difference of their lateness in a cycle that both ran.
-pub(crate) fn clients(plan: &BatchPlan, wait: Wait) -> io::Result<Batch> {
+pub(crate) fn clients(plan: &BatchPlan, spin_ns: u64) -> io::Result<Batch> {
     let shared = SharedPage::new()?;
     let system = plan.system.ok_or(io::ErrorKind::NotFound)?;
     let place = SyncPlace::create(system.run(), &format!("sync-{}", next_run()));
@@ -74,7 +75,8 @@ pub(crate) fn clients(plan: &BatchPlan, wait: Wait) -> io::Result<Batch> {
         BatchPart::on(plan.cpus[number], move |role| {
             ask_for_fifo();
             let id = ClientId::new(number).ok_or(io::ErrorKind::InvalidInput)?;
-            let client = SyncClient::attach(place, id, wait).map_err(io::Error::other)?;
+            let mut client = SyncClient::attach(place, id).map_err(io::Error::other)?;
+            client.spin = Duration::from_ns(spin_ns);
             log_cycles(client, cycles, &mut role.log)
         })
     };
@@ -90,20 +92,32 @@ pub(crate) fn clients(plan: &BatchPlan, wait: Wait) -> io::Result<Batch> {
 }
 
 /// Logs the lateness in each of these cycles, and ends when all clients do.
-fn log_cycles(mut client: SyncClient, cycles: Range<u64>, log: &mut Log) -> io::Result<()> {
-    loop {
-        let activated = client.wait_for_activation(0, GIVE_UP);
-        let now_ns = monotonic_ns();
-        let activated = activated.map_err(io::Error::other)?;
+fn log_cycles(client: SyncClient, cycles: Range<u64>, log: &mut Log) -> io::Result<()> {
+    follow(client, cycles.end, |activated, at, woken| {
         let missed = activated.cycle - activated.missed..activated.cycle;
         missed
             .filter(|cycle| cycles.contains(cycle))
             .for_each(|_| log.push(0, MISSED));
         if cycles.contains(&activated.cycle) {
-            let late_ns = now_ns - client.client().activation_time().as_ns();
+            let late_ns = woken.since(at).as_ns();
             log.push(0, u32::try_from(late_ns).unwrap_or(u32::MAX - 1));
         }
-        if activated.cycle >= cycles.end {
+    })
+}
+
+/// Tells each activation with its time and the time after the wake-up, until all clients end; from
+/// cycle `last` on, this client is done.
+pub(super) fn follow(
+    mut client: SyncClient,
+    last: u64,
+    mut tell: impl FnMut(&Activated, Instant, Instant),
+) -> io::Result<()> {
+    loop {
+        let activated = client.wait_for_activation(0, GIVE_UP);
+        let woken = now();
+        let activated = activated.map_err(io::Error::other)?;
+        tell(&activated, client.client().activation_time(), woken);
+        if activated.cycle >= last {
             client.client().set_done();
         }
         if activated.code == Activation::Terminate {

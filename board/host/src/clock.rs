@@ -33,7 +33,8 @@ pub fn sleep_until(deadline: Instant) {
 }
 
 /// Converts nanoseconds for the kernel; cuts off values that are longer than it accepts.
-pub(crate) fn timespec(ns: u64) -> Timespec {
+#[must_use]
+pub fn timespec(ns: u64) -> Timespec {
     const LIMIT_S: u64 = i32::MAX as u64;
     let seconds = (ns / 1_000_000_000).min(LIMIT_S);
     Timespec {

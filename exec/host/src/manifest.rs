@@ -19,14 +19,9 @@ pub enum ManifestError {
     /// It is no TOML, or a key is unknown, missing or of the wrong type.
     #[error("{0}")]
     Toml(#[from] toml::de::Error),
-    /// The values contradict each other.
-    #[error("line {line}: {what}")]
-    Value {
-        /// Line in the file, from 1.
-        line: usize,
-        /// What is wrong, and what was expected.
-        what: String,
-    },
+    /// The values contradict each other: the line, from 1, and what was expected.
+    #[error("line {0}: {1}")]
+    Value(usize, String),
 }
 
 /// A checked manifest: all names are resolved, and dependencies have no circle.
@@ -63,8 +58,7 @@ pub struct ProcessPlan {
     /// Its working directory, relative to the manifest's folder, which is the default.
     #[serde(default)]
     pub directory: PathBuf,
-    /// A file for its standard output and standard error, relative to the manifest's folder; those
-    /// of the launcher by default.
+    /// A file for what it prints, relative to the manifest's folder; the launcher's by default.
     pub output: Option<PathBuf>,
     /// The numbers of the CPUs on which it may run; all by default.
     pub cpus: Option<Vec<usize>>,
@@ -109,8 +103,9 @@ pub struct ProcessPlan {
     /// It manages the state: it may switch the run target, and its failure is unrecoverable.
     #[serde(default)]
     pub state_management: bool,
+    /// The indices of the processes that must be ready before it starts.
     #[serde(skip)]
-    dependencies: Vec<usize>,
+    pub dependencies: Vec<usize>,
 }
 
 /// What makes a process ready.
@@ -221,8 +216,9 @@ pub struct LogicalOrder {
 pub struct RunTarget {
     name: Spanned<String>,
     processes: Vec<Spanned<String>>,
+    /// The indices of its processes and of all that these depend on, ascending.
     #[serde(skip)]
-    members: Vec<usize>,
+    pub members: Vec<usize>,
 }
 
 /// What happens in the unrecoverable state, which is also the safe state (E-5, E-6).
@@ -291,18 +287,6 @@ impl ProcessPlan {
         self.name.get_ref()
     }
 
-    /// Returns the indices of the processes that must be ready before it starts.
-    #[must_use]
-    pub fn dependencies(&self) -> &[usize] {
-        &self.dependencies
-    }
-
-    /// Returns whether it may end with status 0 when it is ready.
-    #[must_use]
-    pub fn may_end(&self) -> bool {
-        self.may_end || self.ready == ReadyBy::Exit
-    }
-
     /// Returns whether the launcher listens to what it says.
     #[must_use]
     pub fn reports(&self) -> bool {
@@ -316,12 +300,6 @@ impl RunTarget {
     #[must_use]
     pub fn name(&self) -> &str {
         self.name.get_ref()
-    }
-
-    /// Returns the indices of its processes and of all that these depend on.
-    #[must_use]
-    pub fn members(&self) -> &[usize] {
-        &self.members
     }
 }
 

@@ -119,11 +119,8 @@ impl<E: Send + 'static, W: Work<E>> WorkerPool<E, W> {
         if len > capacity {
             return Err(PoolError::TooMany { len, capacity });
         }
-        if len == 0 {
-            return Ok(());
-        }
         let slots = &self.shared.slots;
-        let block_len = len.div_ceil(slots.len());
+        let block_len = len.div_ceil(slots.len()).max(1);
         let blocks = len.div_ceil(block_len);
         let mut rest = elements.drain(..);
         for slot in slots.iter().take(blocks) {
@@ -142,29 +139,21 @@ impl<E: Send + 'static, W: Work<E>> WorkerPool<E, W> {
         } else {
             (0..blocks).for_each(|_| self.shared.begun.notify_one());
         }
-        let panicked = self.wait(run).panicked;
+        while run.done < run.blocks {
+            let (done, timeout) = (run.done, self.patience);
+            let waited = self.shared.ended.wait_timeout(run, timeout);
+            let (guard, waited) = waited.unwrap_or_else(PoisonError::into_inner);
+            run = guard;
+            if waited.timed_out() && run.done == done {
+                hung(&run, timeout);
+            }
+        }
+        let panicked = run.panicked;
+        drop(run);
         for slot in slots.iter().take(blocks) {
             elements.append(&mut lock(slot));
         }
         panicked.map_or(Ok(()), |index| Err(PoolError::Panicked { index }))
-    }
-
-    /// Waits until all blocks are done.
-    fn wait<'a>(&'a self, mut run: MutexGuard<'a, Run>) -> MutexGuard<'a, Run> {
-        while run.done < run.blocks {
-            let done = run.done;
-            let is_running = |run: &mut Run| run.done < run.blocks;
-            let waited = self
-                .shared
-                .ended
-                .wait_timeout_while(run, self.patience, is_running);
-            let (guard, timeout) = waited.unwrap_or_else(PoisonError::into_inner);
-            run = guard;
-            if timeout.timed_out() && run.done == done {
-                hung(&run, self.patience);
-            }
-        }
-        run
     }
 }
 

@@ -18,20 +18,21 @@
 
 mod monitor;
 
-use core::fmt;
 use std::sync::Arc;
 
-use tandem_board::{Duration, Instant};
+use tandem_board::Instant;
 
 use crate::manifest::{Manifest, ReadyBy};
 use monitor::Monitor;
 
 /// How a process ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ExitKind {
     /// With this status.
+    #[error("exit status: {0}")]
     Code(i32),
     /// By this signal.
+    #[error("signal: {0}")]
     Signal(i32),
 }
 
@@ -88,8 +89,8 @@ pub enum Action {
 pub enum Notice {
     /// The process is ready.
     Ready(usize),
-    /// The process has failed.
-    Failed(usize, ProcessFailure, Recovery),
+    /// The process has failed: why, and what follows.
+    Failed(usize, String, Recovery),
     /// A switch to this run target has begun.
     Switching(usize),
     /// All processes of the run target are ready.
@@ -109,29 +110,6 @@ pub enum Recovery {
     SafeState,
 }
 
-/// Why a process has failed.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ProcessFailure {
-    /// It did not start.
-    #[error("it did not start: {0}")]
-    NotStarted(String),
-    /// It was not ready in time.
-    #[error("it was not ready within {} ms", .0.as_us() / 1_000)]
-    NotReady(Duration),
-    /// It ended.
-    #[error("it ended: {0}")]
-    Ended(ExitKind),
-    /// It said too seldom or too often that it is alive.
-    #[error("it was alive {0} times in a cycle")]
-    Alive(u32),
-    /// The time between two checkpoints was too short or too long.
-    #[error("from checkpoint {0} to {1} it was too fast or too slow")]
-    Deadline(u32, u32),
-    /// This checkpoint may not follow the last one.
-    #[error("checkpoint {0} is out of order")]
-    Order(u32),
-}
-
 /// How all of it has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
@@ -143,43 +121,28 @@ pub enum Outcome {
     NoStateManagement(usize),
 }
 
-impl fmt::Display for ExitKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Code(code) => write!(f, "exit status: {code}"),
-            Self::Signal(signal) => write!(f, "signal: {signal}"),
-        }
-    }
-}
-
 /// The state of a process.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum UnitState {
     Off,
-    Starting {
-        until: Instant,
-    },
+    Starting,
     Ready,
     Finished,
-    Ending {
-        until: Instant,
-        failed: Option<ProcessFailure>,
-    },
-    Pausing {
-        until: Instant,
-    },
+    /// As failed, if it has failed.
+    Ending(Option<String>),
+    Pausing,
     Failed,
 }
 
 impl UnitState {
     /// A process of this state exists, and is not told to end.
     const fn is_up(&self) -> bool {
-        matches!(self, Self::Starting { .. } | Self::Ready)
+        matches!(self, Self::Starting | Self::Ready)
     }
 
     /// A process of this state exists.
     const fn exists(&self) -> bool {
-        self.is_up() || matches!(self, Self::Ending { .. })
+        self.is_up() || matches!(self, Self::Ending(_))
     }
 
     /// What depends on it may start.
@@ -191,8 +154,19 @@ impl UnitState {
 #[derive(Debug)]
 struct Unit {
     state: UnitState,
+    /// When the state is over, by time.
+    until: Instant,
     restarts: u32,
+    /// While it is ready, until it says that it ends.
     monitor: Option<Monitor>,
+}
+
+impl Unit {
+    /// Changes the state, and returns the last one.
+    fn enter(&mut self, state: UnitState) -> UnitState {
+        (self.until, self.monitor) = (Instant::NEVER, None);
+        core::mem::replace(&mut self.state, state)
+    }
 }
 
 /// The state machine. Told the time and what has happened, it returns what to do.
@@ -205,7 +179,10 @@ pub struct Supervisor {
     is_reached: bool,
     /// A failure has led to the current target.
     is_fallback: bool,
-    over: Option<Outcome>,
+    is_over: bool,
+    /// The time of the input, and what to do after it.
+    now: Instant,
+    actions: Vec<Action>,
 }
 
 impl Supervisor {
@@ -215,6 +192,7 @@ impl Supervisor {
     pub fn new(manifest: Arc<Manifest>) -> Self {
         let unit = |_: &_| Unit {
             state: UnitState::Off,
+            until: Instant::NEVER,
             restarts: 0,
             monitor: None,
         };
@@ -224,51 +202,48 @@ impl Supervisor {
             target: None,
             is_reached: false,
             is_fallback: false,
-            over: None,
+            is_over: false,
+            now: Instant::ORIGIN,
+            actions: vec![],
         }
     }
 
     /// Returns what to do after this. Inputs about an unknown process or target do nothing.
     pub fn on_input(&mut self, now: Instant, input: Input) -> Vec<Action> {
-        let mut actions = vec![];
-        if self.over.is_some() {
-            return actions;
-        }
+        self.now = now;
+        let exists = |at: usize| self.units.get(at).is_some_and(|it| it.state.exists());
         match input {
-            Input::Started(at) => self.started(now, at, &mut actions),
-            Input::NotStarted(at, why) => {
-                self.failed(now, at, ProcessFailure::NotStarted(why), &mut actions);
+            _ if self.is_over => {}
+            Input::Started(at) if exists(at) => self.ready(at, ReadyBy::Running),
+            Input::NotStarted(at, why) if exists(at) => {
+                self.recover(at, format!("it did not start: {why}"));
             }
-            Input::Report(at, report) => self.report(now, at, report, &mut actions),
-            Input::Ended(at, how) => self.ended(now, at, how, &mut actions),
+            Input::Report(at, report) if exists(at) => self.report(at, report),
+            Input::Ended(at, how) if exists(at) => self.ended(at, how),
             Input::Switch(target) if target < self.manifest.targets.len() => {
                 self.is_fallback = false;
-                self.switch(target, &mut actions);
+                self.switch(target);
             }
-            Input::Switch(_) => {}
             Input::Stop => self.target = None,
-            Input::Tick => self.tick(now, &mut actions),
+            Input::Tick => (0..self.units.len()).for_each(|at| self.tick(at)),
+            _ => {}
         }
-        self.settle(now, &mut actions);
-        actions
+        if !self.is_over {
+            self.settle();
+        }
+        core::mem::take(&mut self.actions)
     }
 
     /// Returns when [`Input::Tick`] is due next.
     #[must_use]
     pub fn next_tick(&self, now: Instant) -> Option<Instant> {
-        let due = |(at, unit): (usize, &Unit)| {
-            let until = match &unit.state {
-                UnitState::Starting { until }
-                | UnitState::Ending { until, .. }
-                | UnitState::Pausing { until } => *until,
-                _ => Instant::NEVER,
-            };
-            let plan = &self.manifest.processes[at];
+        let units = self.units.iter().zip(&self.manifest.processes);
+        let due = units.flat_map(|(unit, plan)| {
             let monitor = unit.monitor.as_ref();
-            until.min(monitor.map_or(Instant::NEVER, |it| it.next(plan)))
-        };
-        let due = self.units.iter().enumerate().map(due);
-        due.filter(|due| *due > now && *due < Instant::NEVER).min()
+            [Some(unit.until), monitor.map(|it| it.next(plan))]
+        });
+        let is_due = |due: &Instant| *due > now && *due < Instant::NEVER;
+        due.flatten().filter(is_due).min()
     }
 
     /// Returns the state of a process, in a word, and how often it was restarted.
@@ -279,11 +254,11 @@ impl Supervisor {
         };
         let word = match unit.state {
             UnitState::Off => "off",
-            UnitState::Starting { .. } => "starting",
+            UnitState::Starting => "starting",
             UnitState::Ready => "ready",
             UnitState::Finished => "finished",
-            UnitState::Ending { .. } => "ending",
-            UnitState::Pausing { .. } => "pausing",
+            UnitState::Ending(_) => "ending",
+            UnitState::Pausing => "pausing",
             UnitState::Failed => "failed",
         };
         (word, unit.restarts)
@@ -296,267 +271,188 @@ impl Supervisor {
     }
 
     fn wants(&self, at: usize) -> bool {
-        let members = self.target.map(|it| self.manifest.targets[it].members());
-        members.is_some_and(|it| it.contains(&at))
+        let target = self.target.map(|it| &self.manifest.targets[it]);
+        target.is_some_and(|it| it.members.contains(&at))
     }
 
-    fn switch(&mut self, target: usize, actions: &mut Vec<Action>) {
+    fn switch(&mut self, target: usize) {
         self.target = Some(target);
         self.is_reached = false;
-        actions.push(Action::Tell(Notice::Switching(target)));
+        self.tell(Notice::Switching(target));
         for at in 0..self.units.len() {
-            let is_wanted = self.wants(at);
-            let unit = &mut self.units[at];
-            let forgets = match unit.state {
+            let forgets = match self.units[at].state {
                 UnitState::Failed => true,
-                UnitState::Finished | UnitState::Pausing { .. } => !is_wanted,
+                UnitState::Finished | UnitState::Pausing => !self.wants(at),
                 _ => false,
             };
             if forgets {
-                unit.state = UnitState::Off;
+                self.units[at].enter(UnitState::Off);
             }
         }
     }
 
-    fn started(&mut self, now: Instant, at: usize, actions: &mut Vec<Action>) {
-        let plan = self.manifest.processes.get(at);
-        if plan.is_some_and(|plan| plan.ready == ReadyBy::Running) {
-            self.ready(now, at, actions);
+    /// A process that starts is ready, if it is this that makes it ready.
+    fn ready(&mut self, at: usize, by: ReadyBy) {
+        let (unit, plan) = (&mut self.units[at], &self.manifest.processes[at]);
+        if unit.state == UnitState::Starting && plan.ready == by {
+            unit.enter(UnitState::Ready);
+            unit.monitor = Some(Monitor::begin(plan, self.now));
+            self.tell(Notice::Ready(at));
         }
     }
 
-    fn ready(&mut self, now: Instant, at: usize, actions: &mut Vec<Action>) {
-        let manifest = Arc::clone(&self.manifest);
-        let (Some(unit), Some(plan)) = (self.units.get_mut(at), manifest.processes.get(at)) else {
-            return;
-        };
-        if matches!(unit.state, UnitState::Starting { .. }) {
-            unit.state = UnitState::Ready;
-            unit.monitor = Monitor::begin(plan, now);
-            actions.push(Action::Tell(Notice::Ready(at)));
-        }
-    }
-
-    fn report(
-        &mut self,
-        now: Instant,
-        at: usize,
-        report: ProcessReport,
-        actions: &mut Vec<Action>,
-    ) {
-        let manifest = Arc::clone(&self.manifest);
-        let (Some(unit), Some(plan)) = (self.units.get_mut(at), manifest.processes.get(at)) else {
-            return;
-        };
-        let failure = match (report, &mut unit.monitor) {
-            (ProcessReport::Ready, _) if plan.ready == ReadyBy::Report => {
-                return self.ready(now, at, actions);
-            }
-            (ProcessReport::Stopping, monitor) => {
-                *monitor = None;
-                None
-            }
-            (ProcessReport::Alive, Some(monitor)) => {
-                monitor.alive();
-                None
-            }
+    fn report(&mut self, at: usize, report: ProcessReport) {
+        let (unit, plan) = (&mut self.units[at], &self.manifest.processes[at]);
+        match (report, &mut unit.monitor) {
+            (ProcessReport::Ready, _) => self.ready(at, ReadyBy::Report),
+            (ProcessReport::Stopping, monitor) => *monitor = None,
+            (ProcessReport::Alive, Some(monitor)) => monitor.alive(),
             (ProcessReport::Checkpoint(number, then), Some(monitor)) => {
-                monitor.checkpoint(plan, number, then.min(now))
+                let failure = monitor.checkpoint(plan, number, then.min(self.now));
+                self.fail(at, failure);
             }
-            _ => None,
-        };
-        if let Some(failure) = failure {
-            self.failed(now, at, failure, actions);
-        }
-    }
-
-    fn ended(&mut self, now: Instant, at: usize, how: ExitKind, actions: &mut Vec<Action>) {
-        let manifest = Arc::clone(&self.manifest);
-        let (Some(unit), Some(plan)) = (self.units.get_mut(at), manifest.processes.get(at)) else {
-            return;
-        };
-        unit.monitor = None;
-        let is_ready = match unit.state {
-            UnitState::Starting { .. } => plan.ready == ReadyBy::Exit,
-            UnitState::Ready => plan.may_end(),
-            _ => false,
-        };
-        match core::mem::replace(&mut unit.state, UnitState::Off) {
-            UnitState::Ending { failed: None, .. } => {}
-            UnitState::Ending {
-                failed: Some(failure),
-                ..
-            } => {
-                self.recover(now, at, failure, actions);
-            }
-            UnitState::Starting { .. } | UnitState::Ready
-                if is_ready && how == ExitKind::Code(0) =>
-            {
-                unit.state = UnitState::Finished;
-                if plan.ready == ReadyBy::Exit {
-                    actions.push(Action::Tell(Notice::Ready(at)));
-                }
-            }
-            UnitState::Starting { .. } | UnitState::Ready => {
-                self.recover(now, at, ProcessFailure::Ended(how), actions);
-            }
-            // An end that was told twice.
-            other => unit.state = other,
-        }
-    }
-
-    /// Handles a failure of a process that may still exist: if so, it must end first.
-    fn failed(
-        &mut self,
-        now: Instant,
-        at: usize,
-        failure: ProcessFailure,
-        actions: &mut Vec<Action>,
-    ) {
-        let Some(unit) = self.units.get_mut(at).filter(|it| it.state.is_up()) else {
-            return;
-        };
-        unit.monitor = None;
-        if matches!(failure, ProcessFailure::NotStarted(_)) {
-            return self.recover(now, at, failure, actions);
-        }
-        unit.state = UnitState::Ending {
-            until: now + self.manifest.processes[at].stop_within,
-            failed: Some(failure),
-        };
-        actions.push(Action::Terminate(at));
-    }
-
-    /// Decides what follows the failure of a process that no longer exists.
-    fn recover(
-        &mut self,
-        now: Instant,
-        at: usize,
-        failure: ProcessFailure,
-        actions: &mut Vec<Action>,
-    ) {
-        let restart = self.manifest.processes[at].restart;
-        let is_wanted = self.wants(at);
-        let unit = &mut self.units[at];
-        let recovery = if !is_wanted {
-            unit.state = UnitState::Off;
-            Recovery::None
-        } else if unit.restarts < restart.times {
-            unit.restarts += 1;
-            let until = now + restart.pause;
-            unit.state = UnitState::Pausing { until };
-            Recovery::Restart(unit.restarts)
-        } else {
-            unit.state = UnitState::Failed;
-            match self.manifest.fallback() {
-                Some(_) if !self.is_fallback && !self.manages_state(at) => Recovery::Fallback,
-                _ => Recovery::SafeState,
-            }
-        };
-        actions.push(Action::Tell(Notice::Failed(at, failure, recovery)));
-        match (recovery, self.manifest.fallback()) {
-            (Recovery::Fallback, Some(fallback)) => {
-                self.is_fallback = true;
-                self.switch(fallback, actions);
-            }
-            (Recovery::SafeState, _) if self.manages_state(at) => {
-                self.end(Outcome::NoStateManagement(at), actions);
-            }
-            (Recovery::SafeState, _) => self.end(Outcome::SafeState(at), actions),
             _ => {}
         }
     }
 
-    fn manages_state(&self, at: usize) -> bool {
-        self.manifest.processes[at].state_management
-    }
-
-    fn end(&mut self, outcome: Outcome, actions: &mut Vec<Action>) {
-        self.over = Some(outcome);
-        actions.push(Action::End(outcome));
-    }
-
-    fn tick(&mut self, now: Instant, actions: &mut Vec<Action>) {
-        let manifest = Arc::clone(&self.manifest);
-        for (at, plan) in manifest.processes.iter().enumerate() {
-            let unit = &mut self.units[at];
-            let failure = match &mut unit.state {
-                UnitState::Starting { until } if *until <= now => {
-                    Some(ProcessFailure::NotReady(plan.ready_within))
+    /// Handles the end of a process that existed.
+    fn ended(&mut self, at: usize, how: ExitKind) {
+        let (unit, plan) = (&mut self.units[at], &self.manifest.processes[at]);
+        let is_by_exit = plan.ready == ReadyBy::Exit;
+        let may_end = is_by_exit || unit.state == UnitState::Ready && plan.may_end;
+        match unit.enter(UnitState::Off) {
+            UnitState::Ending(None) => {}
+            UnitState::Ending(Some(failure)) => self.recover(at, failure),
+            _ if may_end && how == ExitKind::Code(0) => {
+                unit.state = UnitState::Finished;
+                if is_by_exit {
+                    self.tell(Notice::Ready(at));
                 }
-                UnitState::Ending { until, .. } if *until <= now => {
-                    *until = Instant::NEVER;
-                    actions.push(Action::Kill(at));
-                    None
-                }
-                _ => unit.monitor.as_mut().and_then(|it| it.tick(plan, now)),
-            };
-            if let Some(failure) = failure {
-                self.failed(now, at, failure, actions);
             }
+            _ => self.recover(at, format!("it ended: {how}")),
         }
+    }
+
+    /// Handles a failure, if there is one, of a process that exists: first it must end.
+    fn fail(&mut self, at: usize, failure: Option<String>) {
+        if failure.is_some() {
+            self.terminate(at, failure);
+        }
+    }
+
+    fn terminate(&mut self, at: usize, failure: Option<String>) {
+        let unit = &mut self.units[at];
+        unit.enter(UnitState::Ending(failure));
+        unit.until = self.now + self.manifest.processes[at].stop_within;
+        self.actions.push(Action::Terminate(at));
+    }
+
+    /// Decides what follows the failure of a process that no longer exists.
+    fn recover(&mut self, at: usize, failure: String) {
+        let is_wanted = self.wants(at);
+        let (unit, plan) = (&mut self.units[at], &self.manifest.processes[at]);
+        let may_fall_back = !self.is_fallback && !plan.state_management;
+        let fallback = self.manifest.fallback().filter(|_| may_fall_back);
+        let recovery = if !is_wanted {
+            unit.enter(UnitState::Off);
+            Recovery::None
+        } else if unit.restarts < plan.restart.times {
+            unit.enter(UnitState::Pausing);
+            unit.until = self.now + plan.restart.pause;
+            unit.restarts += 1;
+            Recovery::Restart(unit.restarts)
+        } else {
+            unit.enter(UnitState::Failed);
+            fallback.map_or(Recovery::SafeState, |_| Recovery::Fallback)
+        };
+        let manages_state = plan.state_management;
+        self.tell(Notice::Failed(at, failure, recovery));
+        match (recovery, fallback) {
+            (Recovery::Fallback, Some(fallback)) => {
+                self.is_fallback = true;
+                self.switch(fallback);
+            }
+            (Recovery::SafeState, _) if manages_state => self.end(Outcome::NoStateManagement(at)),
+            (Recovery::SafeState, _) => self.end(Outcome::SafeState(at)),
+            _ => {}
+        }
+    }
+
+    fn tell(&mut self, notice: Notice) {
+        self.actions.push(Action::Tell(notice));
+    }
+
+    fn end(&mut self, outcome: Outcome) {
+        self.is_over = true;
+        self.actions.push(Action::End(outcome));
+    }
+
+    fn tick(&mut self, at: usize) {
+        let (unit, plan) = (&mut self.units[at], &self.manifest.processes[at]);
+        let is_due = unit.until <= self.now;
+        let failure = match &unit.state {
+            UnitState::Starting if is_due => {
+                let ms = plan.ready_within.as_us() / 1_000;
+                Some(format!("it was not ready within {ms} ms"))
+            }
+            UnitState::Ending(_) if is_due => {
+                unit.until = Instant::NEVER;
+                self.actions.push(Action::Kill(at));
+                None
+            }
+            _ => unit.monitor.as_mut().and_then(|it| it.tick(plan, self.now)),
+        };
+        self.fail(at, failure);
     }
 
     /// Ends what no target wants, in reverse order of dependency; then starts what it wants, as far
     /// as dependencies permit.
-    fn settle(&mut self, now: Instant, actions: &mut Vec<Action>) {
-        if self.over.is_some() {
-            return;
-        }
+    fn settle(&mut self) {
+        let manifest = Arc::clone(&self.manifest);
         let count = self.units.len();
         let unwanted: Vec<usize> = (0..count).filter(|at| !self.wants(*at)).collect();
-        for at in &unwanted {
-            let depends = |other: &usize| {
-                let dependencies = self.manifest.processes[*other].dependencies();
-                dependencies.contains(at) && self.units[*other].state.exists()
-            };
-            if self.units[*at].state.is_up() && !(0..count).any(|other| depends(&other)) {
-                let until = now + self.manifest.processes[*at].stop_within;
-                let unit = &mut self.units[*at];
-                unit.monitor = None;
-                unit.state = UnitState::Ending {
-                    until,
-                    failed: None,
-                };
-                actions.push(Action::Terminate(*at));
+        for &at in &unwanted {
+            let mut others = manifest.processes.iter().zip(&self.units);
+            let is_needed =
+                others.any(|(plan, other)| plan.dependencies.contains(&at) && other.state.exists());
+            if self.units[at].state.is_up() && !is_needed {
+                self.terminate(at, None);
             }
         }
         if unwanted.iter().any(|at| self.units[*at].state.exists()) {
             return;
         }
         let Some(target) = self.target else {
-            return self.end(Outcome::Done, actions);
+            return self.end(Outcome::Done);
         };
-        let members = self.manifest.targets[target].members().to_vec();
-        for at in &members {
-            self.start_if_due(now, *at, actions);
-        }
-        let is =
-            |test: fn(&UnitState) -> bool| members.iter().all(|at| test(&self.units[*at].state));
-        if !self.is_reached && is(UnitState::is_ready) {
+        let members = manifest.targets[target].members.as_slice();
+        members.iter().for_each(|at| self.start_if_due(*at));
+        let states = || members.iter().map(|at| &self.units[*at].state);
+        let is_done = states().all(|state| *state == UnitState::Finished);
+        if !self.is_reached && states().all(UnitState::is_ready) {
             self.is_reached = true;
-            actions.push(Action::Tell(Notice::Reached(target)));
+            self.tell(Notice::Reached(target));
         }
-        if self.is_reached && is(|state| *state == UnitState::Finished) {
-            self.end(Outcome::Done, actions);
+        if is_done {
+            self.end(Outcome::Done);
         }
     }
 
-    fn start_if_due(&mut self, now: Instant, at: usize, actions: &mut Vec<Action>) {
+    fn start_if_due(&mut self, at: usize) {
         let plan = &self.manifest.processes[at];
-        let mut dependencies = plan.dependencies().iter();
+        let mut dependencies = plan.dependencies.iter();
         if !dependencies.all(|it| self.units[*it].state.is_ready()) {
             return;
         }
         let unit = &mut self.units[at];
         match unit.state {
             UnitState::Off => unit.restarts = 0,
-            UnitState::Pausing { until } if until <= now => {}
+            UnitState::Pausing if unit.until <= self.now => {}
             _ => return,
         }
-        let until = now + plan.ready_within;
-        unit.state = UnitState::Starting { until };
-        actions.push(Action::Start(at));
+        unit.enter(UnitState::Starting);
+        unit.until = self.now + plan.ready_within;
+        self.actions.push(Action::Start(at));
     }
 }
 

@@ -9,12 +9,11 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use rustix::thread::futex;
-use rustix::time::Timespec;
 use tandem_board::{Duration, Instant};
 use tandem_board_host::{RunName, Segment, SegmentError, clock};
 use tandem_exec::client::{Activated, Client};
 use tandem_exec::master::{Config, Event, Lie, MasterCore};
-use tandem_exec::message::{ClientId, MAX_CLIENTS, SyncRequest, SyncResponse};
+use tandem_exec::message::{Activation, ClientId, MAX_CLIENTS, SyncRequest, SyncResponse};
 use tandem_shm::newest::{Reader, Writer};
 use tandem_shm::{FitError, Payload as _, Shape, bare, broadcast, newest};
 
@@ -46,9 +45,6 @@ const LOOK: Duration = Duration::from_ms(100);
 /// Why a process cannot attach.
 #[derive(Debug, thiserror::Error)]
 pub enum SyncPlaceError {
-    /// The shared memory is not there, or was refused.
-    #[error(transparent)]
-    Segment(#[from] SegmentError),
     /// The words do not fit the channels: two versions of the program.
     #[error("the shared memory of the sync master has another layout: {0:?}")]
     Layout(FitError),
@@ -60,36 +56,30 @@ pub enum SyncPlaceError {
 /// The shared memory of one group of redundant clients. Stays mapped until the process ends.
 #[derive(Clone, Copy, Debug)]
 pub struct SyncPlace {
-    words: &'static [AtomicU32],
+    /// All words; public for tests that overwrite them.
+    pub words: &'static [AtomicU32],
 }
 
 impl SyncPlace {
     /// Creates the memory. It is removed with the run's files.
     ///
     /// # Errors
-    /// [`SyncPlaceError::Segment`]
-    pub fn create(run: &RunName, name: &str) -> Result<Self, SyncPlaceError> {
-        Ok(Self::keep(Segment::create(run, name)?))
+    /// [`SegmentError`]
+    pub fn create(run: &RunName, name: &str) -> Result<Self, SegmentError> {
+        Segment::create(run, name).map(Self::keep)
     }
 
     /// Maps the memory that another process has created.
     ///
     /// # Errors
-    /// [`SyncPlaceError::Segment`]
-    pub fn open(run: &RunName, name: &str) -> Result<Self, SyncPlaceError> {
-        Ok(Self::keep(Segment::open(run, name)?))
+    /// [`SegmentError`]
+    pub fn open(run: &RunName, name: &str) -> Result<Self, SegmentError> {
+        Segment::open(run, name).map(Self::keep)
     }
 
     fn keep(segment: Segment<WORDS>) -> Self {
-        Self {
-            words: Box::leak(Box::new(segment)).words(),
-        }
-    }
-
-    /// Returns all words, for tests that overwrite them.
-    #[must_use]
-    pub const fn words(&self) -> &'static [AtomicU32] {
-        self.words
+        let words = Box::leak(Box::new(segment)).words();
+        Self { words }
     }
 
     fn decision(&self) -> &'static AtomicU32 {
@@ -128,32 +118,6 @@ impl SyncPlace {
     }
 }
 
-/// How a client waits for the time of its activation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wait {
-    /// It sleeps until then.
-    Sleep,
-    /// It sleeps until this span before, and then reads the clock in a loop: a CPU of its own.
-    SpinLast(Duration),
-}
-
-impl Wait {
-    /// Waits until `instant`.
-    pub fn until(self, instant: Instant) {
-        let spin = match self {
-            Self::Sleep => Duration::ZERO,
-            Self::SpinLast(spin) => spin,
-        };
-        let early = Instant::from_ns(instant.as_ns().saturating_sub(spin.as_ns()));
-        if clock::now() < early {
-            clock::sleep_until(early);
-        }
-        while clock::now() < instant {
-            core::hint::spin_loop();
-        }
-    }
-}
-
 /// No master answered in the time that the client is prepared to wait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("no sync master answers: start one, or a further candidate")]
@@ -165,7 +129,9 @@ pub struct SyncClient {
     client: Client,
     place: SyncPlace,
     requests: Writer<'static, SyncRequest>,
-    wait: Wait,
+    /// How long before its time it reads the clock in a loop instead of sleeping: needs a CPU of
+    /// its own. Zero at first.
+    pub spin: Duration,
     /// The decision word that was there before this client asked for the first time.
     passed: u32,
 }
@@ -175,18 +141,15 @@ impl SyncClient {
     ///
     /// # Errors
     /// [`SyncPlaceError::Layout`]
-    pub fn attach(place: SyncPlace, id: ClientId, wait: Wait) -> Result<Self, SyncPlaceError> {
+    pub fn attach(place: SyncPlace, id: ClientId) -> Result<Self, SyncPlaceError> {
         let starts = &place.words[STARTS_AT + id.index()];
-        let generation = starts
-            .fetch_add(1, Ordering::Relaxed)
-            .wrapping_add(1)
-            .max(1);
+        let before = starts.fetch_add(1, Ordering::Relaxed);
         let words = place.request_words(id);
         Ok(Self {
-            client: Client::new(id, generation),
+            client: Client::new(id, before.wrapping_add(1).max(1)),
             place,
             requests: bare::newest_writer(words, REQUEST).map_err(SyncPlaceError::Layout)?,
-            wait,
+            spin: Duration::ZERO,
             passed: place.decision().load(Ordering::Relaxed),
         })
     }
@@ -224,14 +187,12 @@ impl SyncClient {
             // Acquire pairs with the exchange in `SyncMaster::step`: the answer is there.
             let word = self.place.decision().load(Ordering::Acquire);
             let now = clock::now();
-            let answer = if word == self.passed {
-                None
-            } else {
-                self.place.decided(word)
-            };
-            if let Some(at) = answer.and_then(|a| self.client.on_response(now, &a).ok()) {
+            if word != self.passed
+                && let Some(answer) = self.place.decided(word)
+                && let Ok(at) = self.client.on_response(now, &answer)
+            {
                 self.passed = word;
-                self.wait.until(at);
+                sleep_until(at, self.spin);
                 if let Some(activated) = self.client.activate(clock::now()) {
                     return Ok(activated);
                 }
@@ -247,8 +208,8 @@ impl SyncClient {
 /// One candidate for the master in this process.
 #[derive(Debug)]
 pub struct SyncMaster {
-    master: MasterCore,
-    id: ClientId,
+    /// The candidate's logic.
+    pub master: MasterCore,
     place: SyncPlace,
     clients: Vec<(ClientId, Reader<'static, SyncRequest>)>,
     answers: broadcast::Writer<'static, SyncResponse>,
@@ -264,26 +225,18 @@ impl SyncMaster {
     pub fn attach(place: SyncPlace, config: Config, id: ClientId) -> Result<Self, SyncPlaceError> {
         let master = MasterCore::new(config, id).ok_or(SyncPlaceError::Config)?;
         let reader = |client| {
-            Ok((
-                client,
-                bare::newest_reader(place.request_words(client), REQUEST)?,
-            ))
+            let reader = bare::newest_reader(place.request_words(client), REQUEST);
+            reader.map(|reader| (client, reader))
         };
         let clients: Result<_, _> = ClientId::first(config.clients).map(reader).collect();
         let answers = bare::broadcast_writer(place.answer_words(id), ANSWER);
         Ok(Self {
             master,
-            id,
             place,
             clients: clients.map_err(SyncPlaceError::Layout)?,
             answers: answers.map_err(SyncPlaceError::Layout)?,
             seen: 0,
         })
-    }
-
-    /// Returns the candidate's logic.
-    pub const fn master(&mut self) -> &mut MasterCore {
-        &mut self.master
     }
 
     /// Reads what is there, and answers if it is this candidate's turn. Returns the time of the
@@ -297,12 +250,25 @@ impl SyncMaster {
                 Err(_) => tell(Event::Disagrees(*client, Lie::Garbage)),
             }
         }
+        let last = self.master.last().map_or(0, |last| last.cycle);
         // The word is read after the requests: a client that has answered a decision saw it. So
         // requests for the cycle before it are taken before it, and those for it afterwards.
-        let last = self.master.last().map_or(0, |last| last.cycle);
-        self.take(now, &requests, tell, |cycle| cycle <= last);
-        self.hear(tell);
-        self.take(now, &requests, tell, |cycle| cycle > last);
+        for is_old in [true, false] {
+            for (client, request) in ClientId::first(MAX_CLIENTS).zip(requests) {
+                if let Some(request) = request.filter(|it| (it.cycle <= last) == is_old) {
+                    self.master.on_request(now, client, &request, tell);
+                }
+            }
+            // Acquire pairs with the exchange below.
+            let word = self.place.decision().load(Ordering::Acquire);
+            if is_old
+                && word != self.seen
+                && let Some(response) = self.place.decided(word)
+            {
+                self.seen = word;
+                self.master.on_decided(&response, tell);
+            }
+        }
         let next = self.master.poll(now);
         let Some(proposal) = next.propose else {
             return next.wake;
@@ -323,39 +289,14 @@ impl SyncMaster {
         now
     }
 
-    /// Takes the last decision, if it is a new one.
-    fn hear(&mut self, tell: &mut impl FnMut(Event)) {
-        // Acquire pairs with the exchange in `step`.
-        let word = self.place.decision().load(Ordering::Acquire);
-        if word != self.seen
-            && let Some(response) = self.place.decided(word)
-        {
-            self.seen = word;
-            self.master.on_decided(&response, tell);
-        }
-    }
-
-    fn take(
-        &mut self,
-        now: Instant,
-        requests: &[Option<SyncRequest>; MAX_CLIENTS],
-        tell: &mut impl FnMut(Event),
-        is_wanted: impl Fn(u64) -> bool,
-    ) {
-        for (client, request) in ClientId::first(MAX_CLIENTS).zip(requests) {
-            if let Some(request) = request.filter(|request| is_wanted(request.cycle)) {
-                self.master.on_request(now, client, &request, tell);
-            }
-        }
-    }
-
     /// Runs the candidate until `is_over`, or until all clients terminate. Blocks.
     pub fn run(&mut self, mut tell: impl FnMut(Event), mut is_over: impl FnMut() -> bool) {
         while !is_over() {
             // Acquire pairs with the Release in `SyncClient::wait_for_activation`.
             let rung = self.place.bell().load(Ordering::Acquire);
             let next = self.step(&mut tell);
-            if next == Instant::NEVER && self.is_terminated() {
+            let code = self.master.last().map(|last| last.code);
+            if next == Instant::NEVER && code == Some(Activation::Terminate) {
                 return;
             }
             let now = clock::now();
@@ -364,25 +305,20 @@ impl SyncMaster {
             }
         }
     }
+}
 
-    fn is_terminated(&self) -> bool {
-        let code = self.master.last().map(|last| last.code);
-        code == Some(tandem_exec::message::Activation::Terminate)
-    }
-
-    /// Returns which candidate this is.
-    #[must_use]
-    pub const fn id(&self) -> ClientId {
-        self.id
+/// Sleeps until `instant`, and reads the clock in a loop for the last part of `spin`.
+fn sleep_until(instant: Instant, spin: Duration) {
+    let early = instant.as_ns().saturating_sub(spin.as_ns());
+    clock::sleep_until(Instant::from_ns(early));
+    while clock::now() < instant {
+        core::hint::spin_loop();
     }
 }
 
 /// Sleeps until the word is woken, unless it no longer has this value, or until the time is over.
 fn sleep(word: &AtomicU32, value: u32, span: Duration) {
-    let timeout = Timespec {
-        tv_sec: (span.as_ns() / 1_000_000_000) as i64,
-        tv_nsec: (span.as_ns() % 1_000_000_000) as i64,
-    };
+    let timeout = clock::timespec(span.as_ns());
     // Every outcome leads to a new look at the memory.
     let _ = futex::wait(word, futex::Flags::empty(), value, Some(&timeout));
 }

@@ -1,107 +1,74 @@
 //! What a manifest must hold beyond its syntax: names that exist once, no circle, sensible limits.
 
+use std::collections::{BTreeMap, BTreeSet};
+
+use tandem_board::Duration;
 use toml::Spanned;
 
-use super::{Manifest, ManifestError, ProcessPlan, ReadyBy, SchedulingPolicy};
+use super::{
+    AliveLimits, DeadlineLimits, Manifest, ManifestError, ProcessPlan, ReadyBy, SchedulingPolicy,
+};
 
 /// The longest name: it becomes the name of a folder and a variable of the environment.
 const LONGEST_NAME: usize = 64;
 
 /// Checks the values, and resolves all names to indices.
 pub(super) fn resolve(manifest: &mut Manifest, text: &str) -> Result<(), ManifestError> {
-    let at = |offset: usize, what: String| ManifestError::Value {
-        line: 1 + text
-            .bytes()
-            .take(offset)
-            .filter(|byte| *byte == b'\n')
-            .count(),
-        what,
+    let refused = |offset: usize, what: String| {
+        let before = text.bytes().take(offset);
+        ManifestError::Value(1 + before.filter(|byte| *byte == b'\n').count(), what)
     };
-    if *manifest.version.get_ref() != 1 {
-        let what = format!("version = {}: expected 1", manifest.version.get_ref());
-        return Err(at(manifest.version.span().start, what));
+    let wrong = |name: &Spanned<String>, what: &str| {
+        refused(name.span().start, format!("{:?}: {what}", name.get_ref()))
+    };
+    let version = &manifest.version;
+    if *version.get_ref() != 1 {
+        let what = format!("version = {}: expected 1", version.get_ref());
+        return Err(refused(version.span().start, what));
     }
-    let fail = |name: &Spanned<String>, what: &str| {
-        Err(at(
-            name.span().start,
-            format!("{:?}: {what}", name.get_ref()),
-        ))
-    };
-    let processes: Vec<_> = manifest
-        .processes
-        .iter()
-        .map(|it| it.name.clone())
-        .collect();
-    let targets: Vec<_> = manifest.targets.iter().map(|it| it.name.clone()).collect();
-    for names in [&processes, &targets] {
-        for (index, name) in names.iter().enumerate() {
-            if names[..index]
-                .iter()
-                .any(|other| other.get_ref() == name.get_ref())
-            {
-                return fail(name, "this name is used twice");
-            }
+    let indices = |names: &mut dyn Iterator<Item = &Spanned<String>>| {
+        let mut found = BTreeMap::new();
+        for (at, name) in names.enumerate() {
             if !is_name(name.get_ref()) {
-                return fail(name, "expected 1 to 64 letters, digits, '-', '_' or '.'");
+                let what = "expected 1 to 64 letters, digits, '-', '_' or '.'";
+                return Err(wrong(name, what));
+            }
+            if found.insert(name.get_ref().clone(), at).is_some() {
+                return Err(wrong(name, "this name is used twice"));
             }
         }
-    }
+        Ok(found)
+    };
+    let processes = indices(&mut manifest.processes.iter().map(|it| &it.name))?;
+    let targets = indices(&mut manifest.targets.iter().map(|it| &it.name))?;
     let index_of = |name: &Spanned<String>| {
-        let found = processes
-            .iter()
-            .position(|it| it.get_ref() == name.get_ref());
-        let known = || {
-            processes
-                .iter()
-                .map(|it| it.get_ref().as_str())
-                .collect::<Vec<_>>()
-        };
-        found.ok_or_else(|| {
-            let known = known().join(", ");
-            let what = format!("{:?}: no such process; there are: {known}", name.get_ref());
-            at(name.span().start, what)
+        processes.get(name.get_ref()).copied().ok_or_else(|| {
+            let known: Vec<_> = processes.keys().map(String::as_str).collect();
+            let known = known.join(", ");
+            wrong(name, &format!("no such process; there are: {known}"))
         })
     };
-    for process in &mut manifest.processes {
-        process.dependencies = process
-            .after
-            .iter()
-            .map(index_of)
-            .collect::<Result<_, _>>()?;
-        if let Some(what) = contradiction(process) {
-            return fail(&process.name, what);
+    for plan in &mut manifest.processes {
+        plan.dependencies = plan.after.iter().map(index_of).collect::<Result<_, _>>()?;
+        if let Some(what) = contradiction(plan) {
+            return Err(wrong(&plan.name, what));
         }
     }
-    if let Some(circle) = find_circle(&manifest.processes) {
-        return fail(
-            &manifest.processes[circle].name,
-            "it waits for itself, by `after`",
-        );
-    }
-    for target in &mut manifest.targets {
-        let mut members = target
-            .processes
-            .iter()
-            .map(index_of)
-            .collect::<Result<Vec<_>, _>>()?;
-        let mut next = 0;
-        while let Some(&member) = members.get(next) {
-            members.extend(manifest.processes[member].dependencies());
-            next += 1;
-        }
-        members.sort_unstable();
-        members.dedup();
-        target.members = members;
-    }
-    for name in [Some(&manifest.initial), manifest.fallback.as_ref()]
-        .into_iter()
-        .flatten()
-    {
-        if manifest.target_named(name.get_ref()).is_none() {
-            return fail(name, "no such run target");
+    for (at, plan) in manifest.processes.iter().enumerate() {
+        if with_dependencies(manifest, &plan.dependencies).contains(&at) {
+            return Err(wrong(&plan.name, "it waits for itself, by `after`"));
         }
     }
-    Ok(())
+    for at in 0..manifest.targets.len() {
+        let wanted = manifest.targets[at].processes.iter().map(index_of);
+        let wanted: Vec<_> = wanted.collect::<Result<_, _>>()?;
+        manifest.targets[at].members = with_dependencies(manifest, &wanted).into_iter().collect();
+    }
+    let mut used = core::iter::once(&manifest.initial).chain(&manifest.fallback);
+    match used.find(|name| !targets.contains_key(name.get_ref())) {
+        Some(name) => Err(wrong(name, "no such run target")),
+        None => Ok(()),
+    }
 }
 
 fn is_name(name: &str) -> bool {
@@ -111,52 +78,37 @@ fn is_name(name: &str) -> bool {
 }
 
 /// Returns what contradicts itself in the plan of a process.
-fn contradiction(process: &ProcessPlan) -> Option<&'static str> {
-    let has_priority = process.priority.is_some();
-    let is_realtime = process.policy != SchedulingPolicy::Other;
-    let out_of_range = |it: &Spanned<u8>| !(1..=99).contains(it.get_ref());
-    if has_priority != is_realtime {
-        return Some("`priority` goes with policy = \"fifo\" or \"round-robin\", and needs one");
-    }
-    if process.priority.as_ref().is_some_and(out_of_range) {
-        return Some("`priority` must be 1 to 99");
-    }
-    if process.cpus.as_ref().is_some_and(Vec::is_empty) {
-        return Some("`cpus` is empty: name at least one, or leave it out");
-    }
-    if process.program.as_os_str().is_empty() {
-        return Some("`program` is empty");
-    }
-    if process
-        .alive
-        .is_some_and(|it| it.every.as_ns() == 0 || it.least > it.most)
-    {
-        return Some("`alive` needs `every` above 0, and `least` not above `most`");
-    }
-    if process
-        .deadlines
-        .iter()
-        .any(|it| it.least > it.most || it.from == it.to)
-    {
-        return Some("`deadlines` need `least` not above `most`, and two checkpoints");
-    }
-    if process.state_management && process.ready == ReadyBy::Exit {
-        return Some("state management cannot be ready by its exit");
-    }
-    None
+fn contradiction(plan: &ProcessPlan) -> Option<&'static str> {
+    let priority = plan.priority.as_ref().map(|it| *it.get_ref());
+    let is_realtime = plan.policy != SchedulingPolicy::Other;
+    let is_no_cycle = |it: AliveLimits| it.every == Duration::ZERO || it.least > it.most;
+    let is_no_span = |it: &DeadlineLimits| it.least > it.most || it.from == it.to;
+    Some(if priority.is_some() != is_realtime {
+        "`priority` goes with policy = \"fifo\" or \"round-robin\", and needs one"
+    } else if priority.is_some_and(|it| !(1..=99).contains(&it)) {
+        "`priority` must be 1 to 99"
+    } else if plan.cpus.as_ref().is_some_and(Vec::is_empty) {
+        "`cpus` is empty: name at least one, or leave it out"
+    } else if plan.program.as_os_str().is_empty() {
+        "`program` is empty"
+    } else if plan.alive.is_some_and(is_no_cycle) {
+        "`alive` needs `every` above 0, and `least` not above `most`"
+    } else if plan.deadlines.iter().any(is_no_span) {
+        "`deadlines` need `least` not above `most`, and two checkpoints"
+    } else if plan.state_management && plan.ready == ReadyBy::Exit {
+        "state management cannot be ready by its exit"
+    } else {
+        return None;
+    })
 }
 
-/// Returns a process that waits for itself.
-fn find_circle(processes: &[ProcessPlan]) -> Option<usize> {
-    let mut settled = vec![false; processes.len()];
-    loop {
-        let is_free = |at: &usize| {
-            let dependencies = processes[*at].dependencies();
-            !settled[*at] && dependencies.iter().all(|it| settled[*it])
-        };
-        match (0..processes.len()).find(is_free) {
-            Some(free) => settled[free] = true,
-            None => return settled.iter().position(|it| !it),
+/// Returns these processes and all that they depend on.
+fn with_dependencies(manifest: &Manifest, wanted: &[usize]) -> BTreeSet<usize> {
+    let (mut all, mut next) = (BTreeSet::new(), wanted.to_vec());
+    while let Some(at) = next.pop() {
+        if all.insert(at) {
+            next.extend(&manifest.processes[at].dependencies);
         }
     }
+    all
 }

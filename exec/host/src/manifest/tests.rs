@@ -37,7 +37,7 @@ processes = []
 #[test]
 fn a_target_holds_what_its_processes_depend_on() {
     let manifest = Manifest::read(GOOD.as_bytes()).unwrap();
-    assert_eq!(manifest.targets[manifest.initial()].members(), [0, 1]);
+    assert_eq!(manifest.targets[manifest.initial()].members, [0, 1]);
     assert_eq!(manifest.fallback(), Some(1));
     let fusion = &manifest.processes[1];
     assert_eq!(fusion.restart.pause, Duration::from_ms(100));

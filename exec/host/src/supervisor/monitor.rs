@@ -4,8 +4,7 @@
 
 use tandem_board::{Duration, Instant};
 
-use super::ProcessFailure;
-use crate::manifest::{AliveLimits, ProcessPlan};
+use crate::manifest::{DeadlineLimits, LogicalOrder, ProcessPlan};
 
 #[derive(Debug)]
 pub(super) struct Monitor {
@@ -18,17 +17,14 @@ pub(super) struct Monitor {
 }
 
 impl Monitor {
-    /// Returns `None` if the process is not supervised.
-    pub(super) fn begin(plan: &ProcessPlan, now: Instant) -> Option<Self> {
-        let deadlines = plan.deadlines.len();
-        let supervised = plan.alive.is_some() || plan.logical.is_some() || deadlines > 0;
-        supervised.then(|| Self {
+    pub(super) fn begin(plan: &ProcessPlan, now: Instant) -> Self {
+        Self {
             cycle_ends: now + plan.alive.map_or(Duration::ZERO, |it| it.every),
             alive: 0,
             wrong_cycles: 0,
-            since: vec![None; deadlines],
+            since: vec![None; plan.deadlines.len()],
             last: None,
-        })
+        }
     }
 
     pub(super) const fn alive(&mut self) {
@@ -40,25 +36,21 @@ impl Monitor {
         plan: &ProcessPlan,
         number: u32,
         at: Instant,
-    ) -> Option<ProcessFailure> {
+    ) -> Option<String> {
         let last = self.last.replace(number);
-        if let Some(order) = &plan.logical {
-            let is_right = match last {
-                None => order.first.contains(&number),
-                Some(last) => order.next.contains(&(last, number)),
-            };
-            if !is_right {
-                return Some(ProcessFailure::Order(number));
-            }
+        let is_wrong = |order: &LogicalOrder| match last {
+            None => !order.first.contains(&number),
+            Some(last) => !order.next.contains(&(last, number)),
+        };
+        if plan.logical.as_ref().is_some_and(is_wrong) {
+            return Some(format!("checkpoint {number} is out of order"));
         }
         for (limits, since) in plan.deadlines.iter().zip(&mut self.since) {
             if limits.to == number
-                && let Some(since) = since.take()
+                && let Some(took) = since.take().map(|since| at.since(since))
+                && (took < limits.least || took > limits.most)
             {
-                let took = at.since(since);
-                if took < limits.least || took > limits.most {
-                    return Some(ProcessFailure::Deadline(limits.from, limits.to));
-                }
+                return Some(missed(limits));
             }
             if limits.from == number {
                 *since = Some(at);
@@ -67,19 +59,13 @@ impl Monitor {
         None
     }
 
-    pub(super) fn tick(&mut self, plan: &ProcessPlan, now: Instant) -> Option<ProcessFailure> {
+    pub(super) fn tick(&mut self, plan: &ProcessPlan, now: Instant) -> Option<String> {
         for (limits, since) in plan.deadlines.iter().zip(&self.since) {
             if since.is_some_and(|since| now.since(since) > limits.most) {
-                return Some(ProcessFailure::Deadline(limits.from, limits.to));
+                return Some(missed(limits));
             }
         }
-        self.judge_cycle(plan.alive?, now)
-    }
-
-    fn judge_cycle(&mut self, limits: AliveLimits, now: Instant) -> Option<ProcessFailure> {
-        if now < self.cycle_ends {
-            return None;
-        }
+        let limits = plan.alive.filter(|_| now >= self.cycle_ends)?;
         let count = core::mem::take(&mut self.alive);
         if now >= self.cycle_ends + limits.every {
             // The launcher was late by a cycle or more: it does not know when the reports came.
@@ -92,7 +78,8 @@ impl Monitor {
             return None;
         }
         self.wrong_cycles += 1;
-        (self.wrong_cycles > limits.tolerated).then_some(ProcessFailure::Alive(count))
+        let is_wrong = self.wrong_cycles > limits.tolerated;
+        is_wrong.then(|| format!("it was alive {count} times in a cycle"))
     }
 
     /// Returns when [`Monitor::tick`] is due.
@@ -104,4 +91,9 @@ impl Monitor {
             .filter_map(|(limits, since)| Some((*since)? + limits.most + Duration::from_ns(1)));
         due.fold(cycle, Instant::min)
     }
+}
+
+fn missed(limits: &DeadlineLimits) -> String {
+    let DeadlineLimits { from, to, .. } = limits;
+    format!("from checkpoint {from} to {to} it was too fast or too slow")
 }

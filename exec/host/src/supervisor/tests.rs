@@ -2,6 +2,8 @@
 
 use proptest::prelude::*;
 
+use tandem_board::Duration;
+
 use super::*;
 
 const HEAD: &str = "version = 1\ninitial = \"one\"\nfallback = \"two\"\n";
@@ -168,6 +170,16 @@ fn failures_lead_step_by_step_to_the_safe_state() {
             );
         }
     }
+}
+
+/// A stop may overtake the news that a process could not be started.
+#[test]
+fn what_was_not_started_needs_no_end() {
+    let mut bench = Bench::of_one("");
+    bench.on(Input::Switch(0));
+    assert_eq!(bench.on(Input::Stop), TERMINATE);
+    let end = [Action::End(Outcome::Done)];
+    assert_eq!(bench.on(Input::NotStarted(0, "x".to_owned())), end);
 }
 
 /// E-5: there is no fallback for state management.
@@ -404,7 +416,7 @@ impl World {
                 assert!(!self.exists[at], "two of one process");
                 let manifest = Arc::clone(&self.bench.supervisor.manifest);
                 let plan = &manifest.processes[at];
-                let dependencies = plan.dependencies();
+                let dependencies = &plan.dependencies;
                 assert!(
                     dependencies.iter().all(|it| self.ready[*it]),
                     "{at} starts too early"
@@ -445,7 +457,7 @@ impl World {
                 self.ready[at] = false;
                 let before = self.bench.state(at);
                 let plan = &self.bench.supervisor.manifest.processes[at];
-                let may = plan.ready == ReadyBy::Exit || before == "ready" && plan.may_end();
+                let may = plan.ready == ReadyBy::Exit || before == "ready" && plan.may_end;
                 self.ready[at] = may && code == 0 && before != "ending";
                 self.on(Input::Ended(at, ExitKind::Code(code)));
             }

@@ -20,7 +20,7 @@ use tandem_exec_host::launcher::{
     self, GuardEnd, GuardPlan, Guardian, NOTHING_STARTED, ProcessLauncher,
 };
 use tandem_exec_host::report;
-use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace, Wait};
+use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace};
 
 /// Redundant clients, candidates for the master.
 pub(crate) const CLIENTS: usize = 3;
@@ -182,7 +182,7 @@ fn client(run: &RunName, id: usize, log: &str) -> Done {
     let place = SyncPlace::open(run, PLACE)?;
     let id = ClientId::new(id).ok_or("no such client")?;
     let mut log = OpenOptions::new().append(true).create(true).open(log)?;
-    let mut client = SyncClient::attach(place, id, Wait::Sleep)?;
+    let mut client = SyncClient::attach(place, id)?;
     report::ready()?;
     let mut output = 0;
     loop {

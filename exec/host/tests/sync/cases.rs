@@ -234,7 +234,7 @@ fn garbage() {
     clients[0].skip(10);
     let mut seed = tandem_exec::client::Random::new(7);
     for _ in 0..200 {
-        for word in group.place.words() {
+        for word in group.place.words {
             let bits = match seed.draw() % 3 {
                 0 => seed.draw() as u32,
                 1 => u32::MAX,

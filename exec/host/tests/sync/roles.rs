@@ -10,7 +10,7 @@ use tandem_exec::client::{Activated, Standing};
 use tandem_exec::lockstep::OutputDigest;
 use tandem_exec::master::Config;
 use tandem_exec::message::{Activation, ClientId, SyncRequest};
-use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace, Wait};
+use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace};
 use tandem_golden::{Functions, instant};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS};
 use tandem_shm::newest::Writer;
@@ -115,7 +115,7 @@ fn count(place: SyncPlace, id: ClientId, script: &str) {
         found.map_or(u64::MAX, |cycle| cycle.parse().unwrap())
     };
     let (flip, lost, done) = (at("flip"), at("lost"), at("done"));
-    let mut client = SyncClient::attach(place, id, Wait::Sleep).unwrap();
+    let mut client = SyncClient::attach(place, id).unwrap();
     tell("ready");
     let mut output = OutputDigest::NONE.digest();
     while let Ok(now) = client.wait_for_activation(output, GIVE_UP) {
@@ -140,7 +140,7 @@ fn count(place: SyncPlace, id: ClientId, script: &str) {
 /// `flip` is `-`, or `output@n` or `frame@n`: one bit is wrong in the n-th control cycle.
 fn drive(place: SyncPlace, id: ClientId, recording: &str, flip: &str) {
     let mut replay = Replay::new(&std::fs::read(recording).unwrap(), flip);
-    let mut client = SyncClient::attach(place, id, Wait::Sleep).unwrap();
+    let mut client = SyncClient::attach(place, id).unwrap();
     tell("ready");
     let mut output = OutputDigest::NONE.digest();
     while let Ok(now) = client.wait_for_activation(output, GIVE_UP) {
@@ -243,7 +243,7 @@ fn flip_frame(words: &mut [u32], at: tandem_board::Instant) {
 /// A client that writes into its mailbox what it should not: garbage, another's name, cycles that
 /// were never decided, old ones, and two answers for one cycle.
 fn lie(place: SyncPlace, id: ClientId) {
-    let mut client = SyncClient::attach(place, id, Wait::Sleep).unwrap();
+    let mut client = SyncClient::attach(place, id).unwrap();
     let honest = client.client().request(0);
     let mut mailbox: Writer<'_, [u32; 8]> = client.hostile();
     tell("ready");
