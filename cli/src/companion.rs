@@ -19,6 +19,7 @@ use signal_hook::consts::SIGTERM;
 use tandem_board_host::realtime::{Claim, claim};
 use tandem_exec_host::launcher::{LaunchEvent, ProcessLauncher, Told};
 use tandem_exec_host::report;
+use tandem_exec_host::supervisor::ProcessFailure;
 
 /// Priority under SCHED_FIFO, below those of all cores: an ADAS computer keeps its periods.
 const PRIORITY: u8 = 20;
@@ -137,11 +138,14 @@ fn manifest(
 }
 
 /// Returns how the process ended, and what it said. Prints it.
-fn last_words(kind: CompanionKind, why: &str, said: &Path) -> String {
-    let how = why.strip_prefix("it ended: ").unwrap_or(why);
+fn last_words(kind: CompanionKind, why: &ProcessFailure, said: &Path) -> String {
+    let how = match why {
+        ProcessFailure::Ended(how) => how.to_string(),
+        other => other.to_string(),
+    };
     let said = fs::read_to_string(said).unwrap_or_default();
     let died = match said.trim() {
-        "" => how.to_owned(),
+        "" => how,
         said => format!("{how}: {said}"),
     };
     let CompanionKind { whose, causes, .. } = kind;

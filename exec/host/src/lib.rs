@@ -2,6 +2,7 @@
 //! fails.
 #![forbid(unsafe_code)]
 
+mod event;
 pub mod launcher;
 pub mod manifest;
 pub mod pool;

@@ -23,6 +23,7 @@ use std::sync::Arc;
 
 use tandem_board::{Duration, Instant};
 
+use crate::event::LaunchEvent;
 use crate::manifest::{Manifest, ReadyBy};
 use monitor::Monitor;
 
@@ -78,22 +79,9 @@ pub enum Action {
     /// Send SIGKILL to the process and to all that it has started.
     Kill(usize),
     /// Tell it to people and to state management.
-    Tell(Notice),
+    Tell(LaunchEvent),
     /// Nothing more will happen. Unless it is [`Outcome::Done`], clean up.
     End(Outcome),
-}
-
-/// What is worth telling.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Notice {
-    /// The process is ready.
-    Ready(usize),
-    /// The process has failed.
-    Failed(usize, ProcessFailure, Recovery),
-    /// A switch to this run target has begun.
-    Switching(usize),
-    /// All processes of the run target are ready.
-    Reached(usize),
 }
 
 /// What follows a failure.
@@ -148,6 +136,17 @@ impl fmt::Display for ExitKind {
         match self {
             Self::Code(code) => write!(f, "exit status: {code}"),
             Self::Signal(signal) => write!(f, "signal: {signal}"),
+        }
+    }
+}
+
+impl fmt::Display for Recovery {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Restart(number) => write!(f, "restart {number}"),
+            Self::None => f.write_str("not needed any more"),
+            Self::Fallback => f.write_str("fallback"),
+            Self::SafeState => f.write_str("safe state"),
         }
     }
 }
@@ -303,7 +302,8 @@ impl Supervisor {
     fn switch(&mut self, target: usize, actions: &mut Vec<Action>) {
         self.target = Some(target);
         self.is_reached = false;
-        actions.push(Action::Tell(Notice::Switching(target)));
+        let name = self.manifest.targets[target].name().to_owned();
+        actions.push(Action::Tell(LaunchEvent::Switching { target: name }));
         for at in 0..self.units.len() {
             let is_wanted = self.wants(at);
             let unit = &mut self.units[at];
@@ -333,7 +333,8 @@ impl Supervisor {
         if matches!(unit.state, UnitState::Starting { .. }) {
             unit.state = UnitState::Ready;
             unit.monitor = Monitor::begin(plan, now);
-            actions.push(Action::Tell(Notice::Ready(at)));
+            let process = plan.name().to_owned();
+            actions.push(Action::Tell(LaunchEvent::Ready { process }));
         }
     }
 
@@ -394,7 +395,8 @@ impl Supervisor {
             {
                 unit.state = UnitState::Finished;
                 if plan.ready == ReadyBy::Exit {
-                    actions.push(Action::Tell(Notice::Ready(at)));
+                    let process = plan.name().to_owned();
+                    actions.push(Action::Tell(LaunchEvent::Ready { process }));
                 }
             }
             UnitState::Starting { .. } | UnitState::Ready => {
@@ -453,7 +455,11 @@ impl Supervisor {
                 _ => Recovery::SafeState,
             }
         };
-        actions.push(Action::Tell(Notice::Failed(at, failure, recovery)));
+        actions.push(Action::Tell(LaunchEvent::Failed {
+            process: self.manifest.processes[at].name().to_owned(),
+            why: failure,
+            next: recovery,
+        }));
         match (recovery, self.manifest.fallback()) {
             (Recovery::Fallback, Some(fallback)) => {
                 self.is_fallback = true;
@@ -535,7 +541,8 @@ impl Supervisor {
             |test: fn(&UnitState) -> bool| members.iter().all(|at| test(&self.units[*at].state));
         if !self.is_reached && is(UnitState::is_ready) {
             self.is_reached = true;
-            actions.push(Action::Tell(Notice::Reached(target)));
+            let target = self.manifest.targets[target].name().to_owned();
+            actions.push(Action::Tell(LaunchEvent::Reached { target }));
         }
         if self.is_reached && is(|state| *state == UnitState::Finished) {
             self.end(Outcome::Done, actions);
