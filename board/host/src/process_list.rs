@@ -179,7 +179,7 @@ impl Stat {
         Self::parse(&fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
     }
 
-    /// Field 2, the name, may contain any character, so fields are counted from its closing bracket.
+    /// Field 2, the name, may hold any character, so fields are counted from its closing bracket.
     fn parse(line: &str) -> Option<Self> {
         let mut fields = line.rsplit_once(')')?.1.split_whitespace();
         Some(Self {

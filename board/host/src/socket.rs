@@ -75,7 +75,7 @@ pub struct RequestSocket {
 
 /// A request that waits for its answer.
 #[derive(Debug)]
-pub struct Request {
+pub struct LineRequest {
     /// Its line.
     pub text: String,
     /// The process that asks; 0 if it is not known.
@@ -83,7 +83,7 @@ pub struct Request {
     stream: LineStream,
 }
 
-impl Request {
+impl LineRequest {
     /// Answers by one line. Never blocks.
     pub fn answer(mut self, line: &str) {
         // A caller that left needs no answer. One that does not read loses it: never wait for one.
@@ -118,7 +118,7 @@ impl RequestSocket {
     ///
     /// # Errors
     /// If the system does not give a descriptor for a connection.
-    pub fn take(&mut self) -> io::Result<Vec<Request>> {
+    pub fn take(&mut self) -> io::Result<Vec<LineRequest>> {
         let own = rustix::process::geteuid().as_raw();
         while self.connections.len() < MOST_CONNECTIONS {
             match self.listener.accept() {
@@ -136,7 +136,7 @@ impl RequestSocket {
         let mut requests = vec![];
         for mut stream in std::mem::take(&mut self.connections) {
             match stream.line(LONGEST_REQUEST) {
-                Ok(text) => requests.push(Request {
+                Ok(text) => requests.push(LineRequest {
                     text,
                     from: stream.peer().map_or(0, |(pid, _)| pid),
                     stream,

@@ -23,12 +23,12 @@ use std::path::{Path, PathBuf};
 use rustix::process::{Signal, getpid, set_child_subreaper};
 use sha2::{Digest as _, Sha256};
 use tandem_board::{Duration, Instant};
-use tandem_board_host::socket::{self, DatagramSocket, Request, RequestSocket};
+use tandem_board_host::socket::{self, DatagramSocket, LineRequest, RequestSocket};
 use tandem_board_host::{clock, spawn};
 
-pub use crate::event::{LaunchEvent, PlatformState, ProcessRow, Told};
 use crate::manifest::Manifest;
 use crate::supervisor::{Action, Input, Outcome, Recovery, Supervisor};
+pub use crate::supervisor::{LaunchEvent, PlatformState, ProcessRow, Told};
 use crate::trust::Platform;
 use children::Children;
 use clean_up::CleanUp;
@@ -40,8 +40,8 @@ const LOOK_AGAIN: Duration = Duration::from_ms(500);
 /// The most reports between two looks at all else: a process that floods must not hold it up.
 const MOST_AT_ONCE: usize = 256;
 
-/// Why a manifest cannot be run, for people: it is not there, not to be trusted or wrong, a launcher
-/// runs it already, or the system does not permit it. Nothing was started.
+/// Why a manifest cannot be run, for people: it is not there, not to be trusted or wrong, or a
+/// launcher runs it already, or the system does not permit it. Nothing was started.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct OpenError(String);
@@ -198,7 +198,7 @@ struct Shell<'a> {
     stops: UnixStream,
     asked_to_stop: usize,
     /// Requests for a run target, with the target.
-    waiting: Vec<(String, Request)>,
+    waiting: Vec<(String, LineRequest)>,
     inputs: VecDeque<Input>,
     begin: Instant,
     tell: &'a mut dyn FnMut(&Told),
@@ -365,7 +365,7 @@ impl Shell<'_> {
         Ok(())
     }
 
-    fn answer(&mut self, request: Request) {
+    fn answer(&mut self, request: LineRequest) {
         let children = &self.launcher.children;
         let manifest = &children.manifest;
         let asks = children

@@ -2,7 +2,6 @@
 //! fails.
 #![forbid(unsafe_code)]
 
-mod event;
 pub mod launcher;
 pub mod manifest;
 pub mod pool;

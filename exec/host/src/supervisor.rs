@@ -16,6 +16,7 @@
 //! A process that fails more often than its manifest permits leads to the fallback target; a second
 //! one, in the fallback target, to the safe state (E-6). Dependents of a failed process run on.
 
+mod event;
 mod monitor;
 
 use core::fmt;
@@ -23,8 +24,8 @@ use std::sync::Arc;
 
 use tandem_board::{Duration, Instant};
 
-use crate::event::LaunchEvent;
 use crate::manifest::{Manifest, ReadyBy};
+pub use event::{LaunchEvent, PlatformState, ProcessRow, Told};
 use monitor::Monitor;
 
 /// How a process ended.

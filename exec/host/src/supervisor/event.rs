@@ -4,7 +4,7 @@ use core::fmt;
 
 use serde::{Deserialize, Serialize, Serializer};
 
-use crate::supervisor::{ProcessFailure, Recovery};
+use super::{ProcessFailure, Recovery};
 
 /// An event, and when it happened.
 #[derive(Clone, Debug, Serialize)]
