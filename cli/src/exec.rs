@@ -6,11 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, anyhow};
-use serde::Deserialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-use tandem_exec_host::launcher::{
-    self, GuardEnd, GuardPlan, Guardian, OpenError, ProcessLauncher, ProcessRow, Told,
-};
+use tandem_exec_host::launcher::{self, GuardEnd, GuardPlan, PlatformState, ProcessLauncher, Told};
 use tandem_exec_host::manifest::Manifest;
 
 use crate::args::{ExecArgs, ExecCommand, ExecRunArgs, ManifestArgs};
@@ -71,8 +68,7 @@ fn guard(args: &ExecRunArgs) -> Result<(), Failure> {
     let interrupted = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(SIGINT, Arc::clone(&interrupted)).context("Ctrl-C")?;
     let stops = signals(&[SIGINT, SIGTERM, SIGHUP])?;
-    let guardian = Guardian::start(command, plan).context("the launcher")?;
-    let ended = guardian.watch(&stops, &mut |text| eprintln!("{text}"));
+    let ended = launcher::guard(command, &plan, &stops, &mut |text| eprintln!("{text}"));
     match ended.context("the guardian")? {
         GuardEnd::Done if interrupted.load(Ordering::Relaxed) => Err(Failure::Interrupted),
         GuardEnd::Done => Ok(()),
@@ -93,7 +89,7 @@ fn guard(args: &ExecRunArgs) -> Result<(), Failure> {
 fn launch(args: &ManifestArgs) -> Result<(), Failure> {
     let stops = signals(&[SIGTERM])?;
     let opened = ProcessLauncher::open(&args.manifest, args.anchor.as_deref());
-    let launcher = opened.map_err(refused)?;
+    let launcher = opened.map_err(Failure::usage)?;
     let mut tell = |told: &Told| {
         let line = match args.json {
             true => serde_json::to_string(told).unwrap_or_default(),
@@ -111,14 +107,9 @@ fn launch(args: &ManifestArgs) -> Result<(), Failure> {
     }
 }
 
-/// The text of the error has that of its sources already.
-fn refused(error: OpenError) -> Failure {
-    Failure::Usage(anyhow!("{error}"))
-}
-
 fn check(args: &ManifestArgs) -> Result<(), Failure> {
     let checked = launcher::check(&args.manifest, args.anchor.as_deref());
-    let manifest = checked.map_err(refused)?;
+    let manifest = checked.map_err(Failure::usage)?;
     let name = |at: &usize| manifest.processes[*at].name();
     let names = |of: &[usize]| of.iter().map(name).collect::<Vec<_>>().join(", ");
     if args.json {
@@ -158,14 +149,6 @@ fn rows(manifest: &Manifest, names: &dyn Fn(&[usize]) -> String) -> Vec<Vec<Stri
     processes.map(row).collect()
 }
 
-/// The answer to `ps`.
-#[derive(Deserialize)]
-struct State {
-    target: Option<String>,
-    reached: bool,
-    processes: Vec<ProcessRow>,
-}
-
 fn ask(manifest: &Path, request: &str) -> Result<String, Failure> {
     let shown = manifest.display();
     let missing = || format!("no launcher runs {shown}; `tandem exec run {shown}` starts one");
@@ -178,7 +161,7 @@ fn ps(args: &ManifestArgs) -> Result<(), Failure> {
     if args.json {
         return Ok(crate::print(&(answer + "\n"))?);
     }
-    let state: State = serde_json::from_str(&answer).context("the launcher's answer")?;
+    let state: PlatformState = serde_json::from_str(&answer).context("the launcher's answer")?;
     let rows = state.processes.into_iter().map(|it| {
         let pid = it.pid.map_or_else(String::new, |pid| pid.to_string());
         vec![

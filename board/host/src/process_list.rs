@@ -66,9 +66,7 @@ pub const fn role_name(lamp: RoleLamp) -> &'static str {
 /// waited for are left out.
 #[must_use]
 pub fn list() -> Vec<Process> {
-    let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
-    let pids = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-    let mut found: Vec<Process> = pids.filter_map(look_at).collect();
+    let mut found: Vec<Process> = pids().filter_map(look_at).collect();
     for at in 0..found.len() {
         found[at].role = found[at]
             .system
@@ -141,10 +139,7 @@ fn look_at(pid: u32) -> Option<Process> {
     let own = loader_words(&argv).max(1);
     let argv = argv.into_iter().skip(own);
     let args = ProcessArgs::parse(argv)?.ok()?;
-    let (state, cpu) = state_and_cpu(&fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)?;
-    if state == "Z" || state == "X" {
-        return None;
-    }
+    let stat = Stat::read(pid).filter(|stat| !stat.has_ended)?;
     let (kind, system) = match &args {
         ProcessArgs::Supply(args) => (ProcessKind::Supply, Some(args.system)),
         ProcessArgs::Core(args) => {
@@ -159,17 +154,40 @@ fn look_at(pid: u32) -> Option<Process> {
         kind,
         system,
         role: None,
-        cpu,
+        cpu: stat.cpu,
     })
 }
 
-/// Parses fields 3 and 39 of the line of `/proc/PID/stat` (proc(5)). Field 2, the name, may contain
-/// any character, so fields are counted from its closing bracket.
-fn state_and_cpu(stat: &str) -> Option<(String, Option<u32>)> {
-    let mut fields = stat.rsplit_once(')')?.1.split_whitespace();
-    let state = fields.next()?.to_owned();
-    let cpu = fields.nth(35).and_then(|cpu| cpu.parse().ok());
-    Some((state, cpu))
+/// Returns the ids of all processes that `/proc` shows.
+pub(crate) fn pids() -> impl Iterator<Item = u32> {
+    let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
+    entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok())
+}
+
+/// What `/proc/PID/stat` says of a process: fields 3, 4 and 39 (proc(5)).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stat {
+    /// Its parent has not waited for it yet.
+    pub(crate) has_ended: bool,
+    pub(crate) parent: u32,
+    /// The CPU on which it last ran.
+    cpu: Option<u32>,
+}
+
+impl Stat {
+    pub(crate) fn read(pid: u32) -> Option<Self> {
+        Self::parse(&fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
+    }
+
+    /// Field 2, the name, may hold any character, so fields are counted from its closing bracket.
+    fn parse(line: &str) -> Option<Self> {
+        let mut fields = line.rsplit_once(')')?.1.split_whitespace();
+        Some(Self {
+            has_ended: matches!(fields.next()?, "Z" | "X"),
+            parent: fields.next()?.parse().ok()?,
+            cpu: fields.nth(34).and_then(|cpu| cpu.parse().ok()),
+        })
+    }
 }
 
 /// Reads the role of a system from the process name of its core 0, for example `A0 master`.
@@ -194,13 +212,18 @@ mod tests {
             .collect::<Vec<_>>()
             .join(" ");
         let line = format!("17 (a) Z) 3 (x) S {tail}\n");
-        assert_eq!(state_and_cpu(&line), Some(("S".to_owned(), Some(39))));
+        let expected = Stat {
+            has_ended: false,
+            parent: 4,
+            cpu: Some(39),
+        };
+        assert_eq!(Stat::parse(&line), Some(expected));
     }
 
     #[test]
     fn a_cut_line_is_no_process() {
-        assert_eq!(state_and_cpu("17 (x"), None);
-        assert_eq!(state_and_cpu("17 (x)"), None);
-        assert_eq!(state_and_cpu("17 (x) R 1 2"), Some(("R".to_owned(), None)));
+        assert_eq!(Stat::parse("17 (x"), None);
+        assert_eq!(Stat::parse("17 (x)"), None);
+        assert_eq!(Stat::parse("17 (x) R 1 2").map(|it| it.cpu), Some(None));
     }
 }

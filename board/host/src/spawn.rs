@@ -1,5 +1,6 @@
 //! Starts, watches and kills processes.
 
+use core::fmt;
 use std::io;
 use std::os::fd::{AsFd as _, BorrowedFd, OwnedFd};
 use std::os::unix::process::CommandExt;
@@ -11,7 +12,7 @@ use rustix::io::{Errno, FdFlags, fcntl_setfd};
 use rustix::pipe::{PipeFlags, pipe_with};
 use rustix::process::{
     Pid, PidfdFlags, Resource, Rlimit, Signal, getpid, getppid, getrlimit, kill_process,
-    pidfd_open, set_parent_process_death_signal, setrlimit,
+    kill_process_group, pidfd_open, set_parent_process_death_signal, setrlimit,
 };
 use rustix::thread::{
     CpuSet, sched_setaffinity, set_thread_groups, set_thread_res_gid, set_thread_res_uid,
@@ -85,8 +86,8 @@ pub struct Placement {
     pub inherit_all: bool,
     /// Descriptors that it inherits, beside the standard streams.
     pub keep: Vec<Arc<OwnedFd>>,
-    /// `cgroup.procs` of the control groups that it joins, open for writing.
-    pub join: Vec<Arc<OwnedFd>>,
+    /// `cgroup.procs` of the memory group that it joins, open for writing.
+    pub memory: Option<Arc<OwnedFd>>,
     /// The signal that it gets when the calling thread has ended, in any way.
     pub when_caller_ends: Option<Signal>,
 }
@@ -109,12 +110,23 @@ pub enum Wish {
     Scheduling,
     /// A limit.
     Limit,
-    /// A control group.
-    Group,
+    /// A memory group.
+    Memory,
 }
 
 impl Wish {
-    const ALL: [Self; 4] = [Self::Cpus, Self::Scheduling, Self::Limit, Self::Group];
+    const ALL: [Self; 4] = [Self::Cpus, Self::Scheduling, Self::Limit, Self::Memory];
+}
+
+impl fmt::Display for Wish {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Cpus => "its CPUs",
+            Self::Scheduling => "its scheduling policy and priority",
+            Self::Limit => "a limit: the hard limit of the launcher is lower",
+            Self::Memory => "a memory group (cgroup v1): its limit is RLIMIT_DATA alone",
+        })
+    }
 }
 
 /// Starts a process in a process group of its own, with this placement. It can outlive the caller.
@@ -148,7 +160,7 @@ struct Prepared {
     gid: Option<Gid>,
     groups: Option<Vec<Gid>>,
     keep: Vec<Arc<OwnedFd>>,
-    join: Vec<Arc<OwnedFd>>,
+    memory: Option<Arc<OwnedFd>>,
     inherit_all: bool,
     when_caller_ends: Option<(Signal, Pid)>,
 }
@@ -180,7 +192,7 @@ impl Prepared {
             gid: placement.gid.map(Gid::from_raw),
             groups: groups.map(|all| all.into_iter().map(Gid::from_raw).collect()),
             keep: placement.keep.clone(),
-            join: placement.join.clone(),
+            memory: placement.memory.clone(),
             inherit_all: placement.inherit_all,
             when_caller_ends: placement.when_caller_ends.map(|it| (it, getpid())),
         }
@@ -193,12 +205,10 @@ impl Prepared {
             let _ = rustix::io::write(tell, &[wish as u8]);
         };
         // Process 0 is the one that writes.
-        if self
-            .join
-            .iter()
-            .any(|group| rustix::io::write(group, b"0").is_err())
+        if let Some(group) = &self.memory
+            && rustix::io::write(group, b"0").is_err()
         {
-            refuse(Wish::Group);
+            refuse(Wish::Memory);
         }
         if let Some(cpus) = &self.cpus
             && sched_setaffinity(None, cpus).is_err()
@@ -280,22 +290,14 @@ impl Watched {
 
     /// Returns a descriptor that becomes readable when the process has ended.
     #[must_use]
-    pub const fn fd(&self) -> &OwnedFd {
-        &self.fd
+    pub fn fd(&self) -> BorrowedFd<'_> {
+        self.fd.as_fd()
     }
 
     /// Returns whether the process has ended. Never blocks.
     #[must_use]
     pub fn has_ended(&self) -> bool {
-        let mut fds = [rustix::event::PollFd::new(
-            &self.fd,
-            rustix::event::PollFlags::IN,
-        )];
-        let now = rustix::time::Timespec {
-            tv_sec: 0,
-            tv_nsec: 0,
-        };
-        rustix::event::poll(&mut fds, Some(&now)).is_ok_and(|ready| ready > 0)
+        clock::wait_for([self.fd()], Duration::ZERO).unwrap_or(false)
     }
 }
 
@@ -309,6 +311,13 @@ pub fn pid(number: u32) -> Option<Pid> {
 pub fn signal(number: u32, signal: Signal) {
     if let Some(pid) = pid(number) {
         let _ = kill_process(pid, signal);
+    }
+}
+
+/// Kills the process group of this process. No effect if all of the group have ended.
+pub fn kill_group(leader: u32) {
+    if let Some(leader) = pid(leader) {
+        let _ = kill_process_group(leader, Signal::KILL);
     }
 }
 

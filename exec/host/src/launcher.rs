@@ -10,39 +10,29 @@
 
 mod children;
 mod clean_up;
-mod control;
-mod descendants;
-mod event;
-mod group;
 mod guardian;
 mod notify;
 
 use std::collections::VecDeque;
 use std::io::{self, Read as _};
-use std::os::fd::{AsFd as _, BorrowedFd};
+use std::os::fd::AsFd as _;
+use std::os::unix::ffi::OsStrExt as _;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
-use rustix::event::{PollFd, PollFlags, poll};
-use rustix::io::Errno;
-use rustix::process::{getpid, set_child_subreaper};
-use rustix::time::Timespec;
+use rustix::process::{Signal, getpid, set_child_subreaper};
 use sha2::{Digest as _, Sha256};
 use tandem_board::{Duration, Instant};
-use tandem_board_host::clock;
+use tandem_board_host::socket::{self, DatagramSocket, LineRequest, RequestSocket};
+use tandem_board_host::{clock, spawn};
 
-use crate::manifest::{Manifest, ManifestError};
-use crate::report;
-use crate::supervisor::{Action, Input, Notice, Outcome, Recovery, Supervisor};
-use crate::trust::{Platform, TrustError};
+use crate::manifest::Manifest;
+use crate::supervisor::{Action, Input, Outcome, Recovery, Supervisor};
+pub use crate::supervisor::{LaunchEvent, PlatformState, ProcessRow, Told};
+use crate::trust::Platform;
 use children::Children;
-pub use clean_up::AloneCleanUp;
-use control::{ControlSocket, Request};
-use notify::NotifySocket;
-
-pub use event::{LaunchEvent, ProcessRow, Told};
-pub use guardian::{GIVES_UP, GuardEnd, GuardPlan, Guardian, NOTHING_STARTED};
+use clean_up::CleanUp;
+pub use guardian::{GIVES_UP, GuardEnd, GuardPlan, NOTHING_STARTED, guard};
 
 /// The longest time between two looks at the guardian, and at processes that were left.
 const LOOK_AGAIN: Duration = Duration::from_ms(500);
@@ -50,105 +40,64 @@ const LOOK_AGAIN: Duration = Duration::from_ms(500);
 /// The most reports between two looks at all else: a process that floods must not hold it up.
 const MOST_AT_ONCE: usize = 256;
 
-/// Why a manifest cannot be run. Nothing was started.
+/// Why a manifest cannot be run, for people: it is not there, not to be trusted or wrong, or a
+/// launcher runs it already, or the system does not permit it. Nothing was started.
 #[derive(Debug, thiserror::Error)]
-pub enum OpenError {
-    /// It is not there, or not to be trusted.
-    #[error(transparent)]
-    Trust(#[from] TrustError),
-    /// It has an error.
-    #[error("{path}: {source}")]
-    Manifest {
-        /// The file.
-        path: PathBuf,
-        /// The error.
-        source: ManifestError,
-    },
-    /// A launcher runs it already.
-    #[error("{0} runs already; `tandem exec ps` shows it")]
-    Runs(PathBuf),
-    /// The system does not permit it.
-    #[error("{what}: {source}")]
-    System {
-        /// What was tried.
-        what: &'static str,
-        /// The error of the operating system.
-        source: io::Error,
-    },
+#[error("{0}")]
+pub struct OpenError(String);
+
+/// Why the launcher gives up, for people: the safe state (E-6), or that state management, the
+/// guardian, or something of the operating system is lost (E-5). What it has started still runs:
+/// the caller calls [`give_up`].
+#[derive(Debug, thiserror::Error)]
+#[error("{why}")]
+pub struct Unrecoverable {
+    why: String,
+    /// What a lost guardian does not do.
+    clean_up: Option<Box<CleanUp>>,
 }
 
-/// Why the launcher gives up. What it has started still runs: the caller cleans up (E-5).
-#[derive(Debug, thiserror::Error)]
-pub enum Unrecoverable {
-    /// The fallback target failed, too, or there is none (E-6).
-    #[error("{0} has failed, and no run target is left: safe state")]
-    SafeState(String),
-    /// State management has failed.
-    #[error("state management is lost: {0} has failed")]
-    NoStateManagement(String),
-    /// The operating system refuses what the launcher needs.
-    #[error("the operating system fails: {what}: {source}")]
-    System {
-        /// What was tried.
-        what: &'static str,
-        /// The error of the operating system.
-        source: io::Error,
-    },
-    /// The watchdog is lost.
-    #[error("the guardian has ended")]
-    NoGuardian(Box<AloneCleanUp>),
+impl From<String> for Unrecoverable {
+    fn from(why: String) -> Self {
+        let clean_up = None;
+        Self { why, clean_up }
+    }
 }
 
 /// Returns the exit status of a launcher's process that gives up. Without a guardian it cleans up
 /// itself, before.
 #[must_use]
 pub fn give_up(why: &Unrecoverable) -> u8 {
-    if let Unrecoverable::NoGuardian(clean_up) = why {
-        clean_up.run();
+    if let Some(clean_up) = &why.clean_up {
+        clean_up.run_alone();
     }
     GIVES_UP
 }
 
 /// Makes the error of a system call that must not fail.
 fn system(what: &'static str) -> impl FnOnce(io::Error) -> Unrecoverable {
-    move |source| Unrecoverable::System { what, source }
+    move |source| format!("the operating system fails: {what}: {source}").into()
 }
 
 /// A manifest that is ready to run.
 #[derive(Debug)]
 pub struct ProcessLauncher {
-    manifest: Arc<Manifest>,
-    platform: Platform,
-    folder: PathBuf,
-    notify: NotifySocket,
-    control: ControlSocket,
-    names: SocketNames,
-    /// The manifest and the anchor.
-    files: (PathBuf, Option<PathBuf>),
+    children: Children,
+    notify: DatagramSocket,
+    control: RequestSocket,
+    clean_up: CleanUp,
 }
 
-/// The names of the sockets in the abstract namespace: no file is left behind.
-#[derive(Clone, Debug)]
-struct SocketNames {
-    notify: String,
-    control: String,
+/// Returns the name of the control socket and the control groups for the manifest at this path: the
+/// path leads to its launcher.
+fn name_of(path: &Path) -> String {
+    let digest = format!("{:x}", Sha256::digest(path.as_os_str().as_bytes()));
+    format!("tandem-exec-{}-control", &digest[..16])
 }
 
-impl SocketNames {
-    /// Names for the manifest at this path: whoever knows it finds the launcher.
-    fn of(path: &Path) -> Self {
-        use std::os::unix::ffi::OsStrExt as _;
-        let digest = Sha256::digest(path.as_os_str().as_bytes());
-        let digest: String = digest
-            .iter()
-            .take(8)
-            .map(|byte| format!("{byte:02x}"))
-            .collect();
-        Self {
-            notify: format!("tandem-exec-{digest}-notify"),
-            control: format!("tandem-exec-{digest}-control"),
-        }
-    }
+/// Returns the name of the socket for reports.
+fn notify_socket(name: &str) -> String {
+    name.replace("control", "notify")
 }
 
 /// Sends a request to the launcher that runs this manifest, and returns its answer.
@@ -156,90 +105,16 @@ impl SocketNames {
 /// # Errors
 /// If no launcher runs it, or it ends before it answers.
 pub fn ask(manifest: &Path, request: &str) -> io::Result<String> {
-    let names = SocketNames::of(&manifest.canonicalize()?);
-    report::ask(names.control.as_bytes(), request)
-}
-
-impl ProcessLauncher {
-    /// Reads a manifest, and checks it. Starts nothing.
-    ///
-    /// # Errors
-    /// [`OpenError`] says what is wrong.
-    pub fn open(manifest: &Path, anchor: Option<&Path>) -> Result<Self, OpenError> {
-        let (platform, checked, path) = read(manifest, anchor)?;
-        let names = SocketNames::of(&path);
-        let open = |source: io::Error| match source.kind() {
-            io::ErrorKind::AddrInUse => OpenError::Runs(path.clone()),
-            _ => OpenError::System {
-                what: "the sockets of the launcher",
-                source,
-            },
-        };
-        let control = ControlSocket::open(&names.control).map_err(open)?;
-        let notify = NotifySocket::open(&names.notify).map_err(open)?;
-        Ok(Self {
-            manifest: Arc::new(checked),
-            platform,
-            folder: path.parent().unwrap_or(Path::new("/")).to_owned(),
-            notify,
-            control,
-            names,
-            files: (path, anchor.map(Path::to_owned)),
-        })
-    }
-
-    /// Returns the manifest.
-    #[must_use]
-    pub fn manifest(&self) -> &Manifest {
-        &self.manifest
-    }
-
-    /// Runs the processes until all have ended. The first byte from `stops` ends them in order, the
-    /// second kills them. With a guardian, standard input leads to it; without one, the kernel
-    /// sends SIGTERM to each process when the calling thread ends.
-    ///
-    /// # Errors
-    /// [`Unrecoverable`]: the caller must clean up.
-    pub fn run(
-        self,
-        stops: UnixStream,
-        guarded: bool,
-        tell: &mut dyn FnMut(&Told),
-    ) -> Result<(), Unrecoverable> {
-        stops.set_nonblocking(true).map_err(system("signals"))?;
-        let manifest = Arc::clone(&self.manifest);
-        let children = Children::new(manifest, self.platform, self.folder, &self.names, guarded);
-        let mut shell = Shell {
-            supervisor: Supervisor::new(self.manifest.clone()),
-            initial: self.manifest.initial(),
-            manifest: self.manifest,
-            children,
-            notify: self.notify,
-            control: self.control,
-            stops,
-            asked_to_stop: 0,
-            waiting: vec![],
-            inputs: VecDeque::new(),
-            guard: guarded.then(guardian::Link::new),
-            group: self.names.control,
-            files: self.files,
-            begin: clock::now(),
-            tell,
-            outcome: None,
-        };
-        shell.run()
-    }
+    socket::ask(&name_of(&manifest.canonicalize()?), request)
 }
 
 /// Reads and checks a manifest. Returns also its path without symbolic links.
 fn read(path: &Path, anchor: Option<&Path>) -> Result<(Platform, Manifest, PathBuf), OpenError> {
     // An error of a path that does not exist is told by what reads it.
     let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-    let platform = Platform::open(&path, anchor)?;
-    let checked = Manifest::read(platform.manifest()).map_err(|source| OpenError::Manifest {
-        path: path.clone(),
-        source,
-    })?;
+    let platform = Platform::open(&path, anchor).map_err(|error| OpenError(error.to_string()))?;
+    let checked = Manifest::read(platform.manifest())
+        .map_err(|error| OpenError(format!("{}: {error}", path.display())))?;
     Ok((platform, checked, path))
 }
 
@@ -250,283 +125,297 @@ fn read(path: &Path, anchor: Option<&Path>) -> Result<(Platform, Manifest, PathB
 pub fn check(manifest: &Path, anchor: Option<&Path>) -> Result<Manifest, OpenError> {
     let (platform, checked, _) = read(manifest, anchor)?;
     for process in &checked.processes {
-        platform.command(&process.program)?;
+        let command = platform.command(&process.program);
+        command.map_err(|error| OpenError(error.to_string()))?;
     }
     Ok(checked)
 }
 
+impl ProcessLauncher {
+    /// Reads a manifest, and checks it. Starts nothing.
+    ///
+    /// # Errors
+    /// [`OpenError`] says what is wrong.
+    pub fn open(manifest: &Path, anchor: Option<&Path>) -> Result<Self, OpenError> {
+        let (platform, manifest, path) = read(manifest, anchor)?;
+        let name = name_of(&path);
+        let refused = |error: io::Error| match error.kind() {
+            io::ErrorKind::AddrInUse => {
+                let path = path.display();
+                OpenError(format!("{path} runs already; `tandem exec ps` shows it"))
+            }
+            _ => OpenError(format!("the sockets of the launcher: {error}")),
+        };
+        let control = RequestSocket::open(&name).map_err(refused)?;
+        let notify = DatagramSocket::open(&notify_socket(&name)).map_err(refused)?;
+        let folder = path.parent().unwrap_or(Path::new("/")).to_owned();
+        Ok(Self {
+            notify,
+            control,
+            clean_up: CleanUp {
+                safe_state: manifest.safe_state.clone(),
+                name: Some(name.clone()),
+                group: None,
+                files: Some((path, anchor.map(Path::to_owned))),
+            },
+            children: Children::new(manifest, platform, folder, name),
+        })
+    }
+
+    /// Runs the processes until all have ended. The first byte from `stops` ends them in order, the
+    /// second kills them. With a guardian, standard input leads to it; without one, the kernel
+    /// sends SIGTERM to each process when the calling thread ends.
+    ///
+    /// # Errors
+    /// [`Unrecoverable`]: the caller must clean up.
+    pub fn run(
+        mut self,
+        stops: UnixStream,
+        guarded: bool,
+        tell: &mut dyn FnMut(&Told),
+    ) -> Result<(), Unrecoverable> {
+        stops.set_nonblocking(true).map_err(system("signals"))?;
+        self.children.guarded = guarded;
+        let mut shell = Shell {
+            supervisor: Supervisor::new(self.children.manifest.clone()),
+            launcher: self,
+            stops,
+            asked_to_stop: 0,
+            waiting: vec![],
+            inputs: VecDeque::new(),
+            begin: clock::now(),
+            tell,
+            is_done: false,
+        };
+        shell.run()
+    }
+}
+
 /// The launcher while it runs.
 struct Shell<'a> {
-    manifest: Arc<Manifest>,
-    initial: usize,
+    launcher: ProcessLauncher,
     supervisor: Supervisor,
-    children: Children,
-    notify: NotifySocket,
-    control: ControlSocket,
     stops: UnixStream,
-    asked_to_stop: u32,
+    asked_to_stop: usize,
     /// Requests for a run target, with the target.
-    waiting: Vec<(usize, Request)>,
+    waiting: Vec<(String, LineRequest)>,
     inputs: VecDeque<Input>,
-    guard: Option<guardian::Link>,
-    /// Name of the control group.
-    group: String,
-    files: (PathBuf, Option<PathBuf>),
     begin: Instant,
     tell: &'a mut dyn FnMut(&Told),
-    outcome: Option<Outcome>,
+    is_done: bool,
 }
 
 impl Shell<'_> {
     fn run(&mut self) -> Result<(), Unrecoverable> {
-        if let Some(guard) = &mut self.guard {
+        if self.launcher.children.guarded {
             set_child_subreaper(Some(getpid()))
                 .map_err(|error| system("subreaper")(error.into()))?;
-            guard.begin(&self.manifest.safe_state, &self.group);
+            // A guardian that has ended already is noticed later.
+            guardian::send(&serde_json::to_string(&self.launcher.clean_up).unwrap_or_default());
         }
-        if let Some(warning) = self.children.warning() {
-            self.tell(LaunchEvent::NotGranted {
-                process: "manifest".to_owned(),
-                what: warning,
-            });
+        if let Some(what) = self.launcher.children.warning() {
+            let process = "manifest".to_owned();
+            self.tell(LaunchEvent::NotGranted { process, what });
         }
-        self.inputs.push_back(Input::Switch(self.initial));
+        let initial = self.launcher.children.manifest.initial();
+        self.inputs.push_back(Input::Switch(initial));
         loop {
-            self.work()?;
-            match self.outcome {
-                None => self.wait()?,
-                Some(Outcome::Done) => {
-                    self.children.kill_what_is_left();
-                    return Ok(());
-                }
-                Some(Outcome::SafeState(at)) => {
-                    return Err(Unrecoverable::SafeState(self.name(at)));
-                }
-                Some(Outcome::NoStateManagement(at)) => {
-                    return Err(Unrecoverable::NoStateManagement(self.name(at)));
+            while let Some(input) = self.inputs.pop_front() {
+                for action in self.supervisor.on_input(clock::now(), input) {
+                    self.perform(action)?;
                 }
             }
-        }
-    }
-
-    /// Handles all that has happened, and what follows from it.
-    fn work(&mut self) -> Result<(), Unrecoverable> {
-        while let Some(input) = self.inputs.pop_front() {
-            for action in self.supervisor.on_input(clock::now(), input) {
-                self.perform(action)?;
+            if self.is_done {
+                self.launcher.children.kill_what_is_left();
+                return Ok(());
             }
+            self.wait()?;
+            self.hear()?;
         }
-        Ok(())
     }
 
     fn perform(&mut self, action: Action) -> Result<(), Unrecoverable> {
+        let children = &mut self.launcher.children;
         match action {
-            Action::Start(at) => match self.children.start(at)? {
+            Action::Start(at) => match children.start(at)? {
                 Ok((pid, refused)) => {
-                    self.tell(LaunchEvent::Started {
-                        process: self.name(at),
-                        pid,
-                    });
+                    let process = self.name(at);
+                    self.tell(LaunchEvent::Started { process, pid });
                     for what in refused {
-                        self.tell(LaunchEvent::NotGranted {
-                            process: self.name(at),
-                            what,
-                        });
+                        let process = self.name(at);
+                        self.tell(LaunchEvent::NotGranted { process, what });
                     }
                     self.inputs.push_back(Input::Started(at));
                 }
                 Err(why) => self.inputs.push_back(Input::NotStarted(at, why)),
             },
-            Action::Terminate(at) => self.children.terminate(at),
-            Action::Kill(at) => self.children.kill(at),
-            Action::Tell(notice) => self.notice(notice),
-            Action::End(outcome) => self.outcome = Some(outcome),
+            Action::Terminate(at) => {
+                let pid = children.pid(at).into_iter();
+                pid.for_each(|pid| spawn::signal(pid, Signal::TERM));
+            }
+            Action::Kill(at) => children.kill(at),
+            Action::Tell(event) => self.tell(event),
+            Action::End(Outcome::Done) => self.is_done = true,
+            Action::End(Outcome::SafeState(at)) => {
+                let name = self.name(at);
+                Err(format!(
+                    "{name} has failed, and no run target is left: safe state"
+                ))?;
+            }
+            Action::End(Outcome::NoStateManagement(at)) => {
+                let name = self.name(at);
+                Err(format!("state management is lost: {name} has failed"))?;
+            }
         }
         Ok(())
     }
 
-    fn notice(&mut self, notice: Notice) {
-        let event = match notice {
-            Notice::Ready(at) => LaunchEvent::Ready {
-                process: self.name(at),
-            },
-            Notice::Failed(at, why, recovery) => {
-                let next = match recovery {
-                    Recovery::Restart(number) => format!("restart {number}"),
-                    Recovery::None => "not needed any more".to_owned(),
-                    Recovery::Fallback => "fallback".to_owned(),
-                    Recovery::SafeState => "safe state".to_owned(),
-                };
-                let why = why.to_string();
-                if matches!(recovery, Recovery::Fallback | Recovery::SafeState) {
-                    let answer = format!("{} has failed: {why}", self.name(at));
-                    self.waiting
-                        .drain(..)
-                        .for_each(|(_, request)| request.answer(&answer));
-                }
-                LaunchEvent::Failed {
-                    process: self.name(at),
-                    why,
-                    next,
+    fn tell(&mut self, event: LaunchEvent) {
+        match &event {
+            LaunchEvent::Failed { process, why, next } => {
+                if matches!(next, Recovery::Fallback | Recovery::SafeState) {
+                    self.answer_if(|_| true, &format!("{process} has failed: {why}"));
                 }
             }
-            Notice::Switching(to) => {
-                let superseded = |(target, _): &(usize, Request)| *target != to;
-                let others: Vec<_> = self.waiting.extract_if(.., |it| superseded(it)).collect();
-                let answer = "another run target was asked for since";
-                others
-                    .into_iter()
-                    .for_each(|(_, request)| request.answer(answer));
-                LaunchEvent::Switching {
-                    target: self.target_name(to),
-                }
+            LaunchEvent::Switching { target } => {
+                self.answer_if(|it| it != target, "another run target was asked for since");
             }
-            Notice::Reached(target) => {
-                // A request for another one may have arrived since.
-                let reached: Vec<_> = self.waiting.extract_if(.., |it| it.0 == target).collect();
-                reached
-                    .into_iter()
-                    .for_each(|(_, request)| request.answer("ok"));
-                LaunchEvent::Reached {
-                    target: self.target_name(target),
-                }
-            }
-        };
-        self.tell(event);
-    }
-
-    /// Waits until something happens, and notes it.
-    fn wait(&mut self) -> Result<(), Unrecoverable> {
-        let now = clock::now();
-        let watchdog = Duration::from_ns(self.manifest.safe_state.watchdog.as_ns() / 4);
-        let look_again = now + LOOK_AGAIN.min(watchdog);
-        let until = self
-            .supervisor
-            .next_tick(now)
-            .map_or(look_again, |it| it.min(look_again));
-        let span = until.since(now).as_ns();
-        let span = Timespec {
-            tv_sec: (span / 1_000_000_000) as i64,
-            tv_nsec: (span % 1_000_000_000) as i64,
-        };
-        let fixed = [self.notify.as_fd(), self.stops.as_fd()];
-        let guard = self.guard.as_ref().map(|it| it.fd());
-        let fds: Vec<BorrowedFd<'_>> = fixed.into_iter().chain(guard).collect();
-        let fds = fds
-            .into_iter()
-            .chain(self.control.fds())
-            .chain(self.children.fds());
-        let mut fds: Vec<_> = fds
-            .map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN))
-            .collect();
-        match poll(&mut fds, Some(&span)) {
-            Ok(_) | Err(Errno::INTR) => {}
-            Err(error) => return Err(system("poll")(error.into())),
+            // A request for another one may have arrived since.
+            LaunchEvent::Reached { target } => self.answer_if(|it| it == target, "ok"),
+            _ => {}
         }
-        drop(fds);
-        self.hear()
+        let after_ms = clock::now().since(self.begin).as_ms_f64();
+        (self.tell)(&Told { after_ms, event });
     }
 
+    /// Answers the requests for these run targets.
+    fn answer_if(&mut self, is_answered: impl Fn(&str) -> bool, answer: &str) {
+        let answered = self
+            .waiting
+            .extract_if(.., |(target, _)| is_answered(target));
+        answered.for_each(|(_, request)| request.answer(answer));
+    }
+
+    /// Waits until something happens.
+    fn wait(&self) -> Result<(), Unrecoverable> {
+        let ProcessLauncher {
+            children,
+            notify,
+            control,
+            ..
+        } = &self.launcher;
+        let now = clock::now();
+        let watchdog = Duration::from_ns(children.manifest.safe_state.watchdog.as_ns() / 4);
+        let look_again = now + LOOK_AGAIN.min(watchdog);
+        let tick = self.supervisor.next_tick(now);
+        let span = tick.map_or(look_again, |it| it.min(look_again)).since(now);
+        let stdin = io::stdin();
+        let fds = [notify.as_fd(), self.stops.as_fd()].into_iter();
+        let fds = fds.chain(children.guarded.then(|| stdin.as_fd()));
+        let fds = fds.chain(control.fds()).chain(children.fds());
+        clock::wait_for(fds, span).map_err(system("poll"))?;
+        Ok(())
+    }
+
+    /// Notes all that has happened.
     fn hear(&mut self) -> Result<(), Unrecoverable> {
+        let ProcessLauncher {
+            children,
+            notify,
+            control,
+            clean_up,
+        } = &mut self.launcher;
         // Reports first: a process that reports and ends has reported.
         for _ in 0..MOST_AT_ONCE {
-            let Some((pid, datagram)) = self.notify.receive(clock::now()) else {
+            let Some((pid, datagram)) = notify.receive() else {
                 break;
             };
-            let Some(at) = self.children.reporter(pid) else {
+            let listens = |at: &usize| children.manifest.processes[*at].reports();
+            let Some(at) = children.with_pid(pid).filter(listens) else {
                 continue;
             };
+            let datagram = notify::parse(&datagram, clock::now());
             if let Some(status) = datagram.status {
-                self.children.set_status(at, status);
+                children.status[at] = status;
             }
             let reports = datagram.reports.into_iter();
-            self.inputs
-                .extend(reports.map(|report| Input::Report(at, report)));
+            self.inputs.extend(reports.map(|it| Input::Report(at, it)));
         }
-        let ended = self.children.take_ended();
+        let ended = children.take_ended().into_iter();
         self.inputs
-            .extend(ended.into_iter().map(|(at, how)| Input::Ended(at, how)));
-        for request in self.control.take().map_err(system("the control socket"))? {
-            self.answer(request);
-        }
+            .extend(ended.map(|(at, how)| Input::Ended(at, how)));
         let mut bytes = [0; 16];
         let count = (&self.stops).read(&mut bytes).unwrap_or(0);
         if count > 0 {
-            self.asked_to_stop += count as u32;
+            self.asked_to_stop += count;
             self.inputs.push_back(Input::Stop);
         }
         if self.asked_to_stop > 1 {
-            self.children.kill_all();
+            children.kill_all();
         }
-        if let Some(guard) = &mut self.guard
-            && !guard.kick()
-        {
-            let clean_up =
-                AloneCleanUp::of(&self.manifest.safe_state, self.files.clone(), &self.group);
-            return Err(Unrecoverable::NoGuardian(Box::new(clean_up)));
+        if children.guarded && !guardian::send("") {
+            return Err(Unrecoverable {
+                why: "the guardian has ended".to_owned(),
+                clean_up: Some(Box::new(clean_up.clone())),
+            });
         }
+        let requests = control.take().map_err(system("the control socket"))?;
+        requests.into_iter().for_each(|it| self.answer(it));
         self.inputs.push_back(Input::Tick);
         Ok(())
     }
 
-    fn answer(&mut self, request: Request) {
-        let known = request
-            .text
-            .split_once(' ')
-            .map_or((request.text.as_str(), ""), |it| it);
-        match known {
-            ("ps", "") => {
-                let rows = self.rows();
-                let (target, reached) = self.supervisor.target();
-                let target = target.map(|it| self.target_name(it));
-                request.answer(&event::state(target.as_deref(), reached, &rows));
+    fn answer(&mut self, request: LineRequest) {
+        let children = &self.launcher.children;
+        let manifest = &children.manifest;
+        let asks = children
+            .with_pid(request.from)
+            .map(|at| &manifest.processes[at]);
+        match request.text.split_once(' ') {
+            None if request.text == "ps" => {
+                let state = serde_json::to_string(&self.state());
+                request.answer(&state.unwrap_or_default());
             }
-            ("target", name) => match self.manifest.target_named(name) {
-                _ if self.children.is_other_process(request.from) => {
-                    request.answer("only state management may switch the run target");
-                }
-                Some(target) => {
-                    self.waiting.push((target, request));
+            Some(("target", _)) if asks.is_some_and(|it| !it.state_management) => {
+                request.answer("only state management may switch the run target");
+            }
+            Some(("target", name)) => {
+                if let Some(target) = manifest.target_named(name) {
+                    self.waiting.push((name.to_owned(), request));
                     self.inputs.push_back(Input::Switch(target));
-                }
-                None => {
-                    let names = self.manifest.targets.iter().map(|it| it.name());
-                    let names: Vec<_> = names.collect();
-                    let names = names.join(", ");
+                } else {
+                    let names = manifest.targets.iter().map(|it| it.name());
+                    let names = names.collect::<Vec<_>>().join(", ");
                     request.answer(&format!("no such run target; there are: {names}"));
                 }
-            },
+            }
             _ => request.answer("expected ps or target NAME"),
         }
     }
 
-    fn rows(&self) -> Vec<ProcessRow> {
+    fn state(&self) -> PlatformState {
+        let children = &self.launcher.children;
         let row = |at: usize| {
             let (state, restarts) = self.supervisor.state_of(at);
             ProcessRow {
                 process: self.name(at),
                 state: state.to_owned(),
-                pid: self.children.pid(at),
+                pid: children.pid(at),
                 restarts,
-                status: self.children.status(at),
+                status: children.status[at].clone(),
             }
         };
-        (0..self.manifest.processes.len()).map(row).collect()
-    }
-
-    fn tell(&mut self, event: LaunchEvent) {
-        let after = clock::now().since(self.begin);
-        let after_ms = after.as_ms_f64();
-        (self.tell)(&Told { after_ms, event });
+        let (target, reached) = self.supervisor.target();
+        PlatformState {
+            target: target.map(|it| children.manifest.targets[it].name().to_owned()),
+            reached,
+            processes: (0..children.manifest.processes.len()).map(row).collect(),
+        }
     }
 
     fn name(&self, at: usize) -> String {
-        let process = self.manifest.processes.get(at);
-        process.map_or_else(String::new, |it| it.name().to_owned())
-    }
-
-    fn target_name(&self, at: usize) -> String {
-        let target = self.manifest.targets.get(at);
-        target.map_or_else(String::new, |it| it.name().to_owned())
+        self.launcher.children.manifest.processes[at]
+            .name()
+            .to_owned()
     }
 }

@@ -6,7 +6,7 @@ mod span;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use tandem_board::Duration;
 use toml::Spanned;
 
@@ -222,7 +222,7 @@ pub struct RunTarget {
 }
 
 /// What happens in the unrecoverable state, which is also the safe state (E-5, E-6).
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
 pub struct SafeState {
     /// Pre-clean-up: a command that runs before processes are told to end.
@@ -230,11 +230,11 @@ pub struct SafeState {
     /// Post-clean-up: a command that runs when no process is left, for example a reset.
     pub after: Vec<String>,
     /// Time from SIGTERM to SIGKILL; also the time that each command may take.
-    #[serde(deserialize_with = "span::read")]
+    #[serde(deserialize_with = "span::read", serialize_with = "span::write")]
     pub within: Duration,
     /// Time without a sign of life from the launcher after which the guardian ends it and cleans
     /// up; at least 100 ms.
-    #[serde(deserialize_with = "span::read")]
+    #[serde(deserialize_with = "span::read", serialize_with = "span::write")]
     pub watchdog: Duration,
 }
 

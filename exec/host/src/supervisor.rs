@@ -16,13 +16,16 @@
 //! A process that fails more often than its manifest permits leads to the fallback target; a second
 //! one, in the fallback target, to the safe state (E-6). Dependents of a failed process run on.
 
+mod event;
 mod monitor;
 
+use core::fmt;
 use std::sync::Arc;
 
 use tandem_board::Instant;
 
 use crate::manifest::{Manifest, ReadyBy};
+pub use event::{LaunchEvent, PlatformState, ProcessRow, Told};
 use monitor::Monitor;
 
 /// How a process ended.
@@ -79,22 +82,9 @@ pub enum Action {
     /// Send SIGKILL to the process and to all that it has started.
     Kill(usize),
     /// Tell it to people and to state management.
-    Tell(Notice),
+    Tell(LaunchEvent),
     /// Nothing more will happen. Unless it is [`Outcome::Done`], clean up.
     End(Outcome),
-}
-
-/// What is worth telling.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Notice {
-    /// The process is ready.
-    Ready(usize),
-    /// The process has failed: why, and what follows.
-    Failed(usize, String, Recovery),
-    /// A switch to this run target has begun.
-    Switching(usize),
-    /// All processes of the run target are ready.
-    Reached(usize),
 }
 
 /// What follows a failure.
@@ -119,6 +109,17 @@ pub enum Outcome {
     SafeState(usize),
     /// State management has failed (E-5).
     NoStateManagement(usize),
+}
+
+impl fmt::Display for Recovery {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Restart(number) => write!(f, "restart {number}"),
+            Self::None => f.write_str("not needed any more"),
+            Self::Fallback => f.write_str("fallback"),
+            Self::SafeState => f.write_str("safe state"),
+        }
+    }
 }
 
 /// The state of a process.
@@ -278,7 +279,8 @@ impl Supervisor {
     fn switch(&mut self, target: usize) {
         self.target = Some(target);
         self.is_reached = false;
-        self.tell(Notice::Switching(target));
+        let name = self.manifest.targets[target].name().to_owned();
+        self.tell(LaunchEvent::Switching { target: name });
         for at in 0..self.units.len() {
             let forgets = match self.units[at].state {
                 UnitState::Failed => true,
@@ -297,7 +299,9 @@ impl Supervisor {
         if unit.state == UnitState::Starting && plan.ready == by {
             unit.enter(UnitState::Ready);
             unit.monitor = Some(Monitor::begin(plan, self.now));
-            self.tell(Notice::Ready(at));
+            self.tell(LaunchEvent::Ready {
+                process: self.name(at),
+            });
         }
     }
 
@@ -326,7 +330,9 @@ impl Supervisor {
             _ if may_end && how == ExitKind::Code(0) => {
                 unit.state = UnitState::Finished;
                 if is_by_exit {
-                    self.tell(Notice::Ready(at));
+                    self.tell(LaunchEvent::Ready {
+                        process: self.name(at),
+                    });
                 }
             }
             _ => self.recover(at, format!("it ended: {how}")),
@@ -366,7 +372,11 @@ impl Supervisor {
             fallback.map_or(Recovery::SafeState, |_| Recovery::Fallback)
         };
         let manages_state = plan.state_management;
-        self.tell(Notice::Failed(at, failure, recovery));
+        self.tell(LaunchEvent::Failed {
+            process: self.name(at),
+            why: failure,
+            next: recovery,
+        });
         match (recovery, fallback) {
             (Recovery::Fallback, Some(fallback)) => {
                 self.is_fallback = true;
@@ -378,7 +388,11 @@ impl Supervisor {
         }
     }
 
-    fn tell(&mut self, notice: Notice) {
+    fn name(&self, at: usize) -> String {
+        self.manifest.processes[at].name().to_owned()
+    }
+
+    fn tell(&mut self, notice: LaunchEvent) {
         self.actions.push(Action::Tell(notice));
     }
 
@@ -431,7 +445,8 @@ impl Supervisor {
         let is_done = states().all(|state| *state == UnitState::Finished);
         if !self.is_reached && states().all(UnitState::is_ready) {
             self.is_reached = true;
-            self.tell(Notice::Reached(target));
+            let target = manifest.targets[target].name().to_owned();
+            self.tell(LaunchEvent::Reached { target });
         }
         if is_done {
             self.end(Outcome::Done);

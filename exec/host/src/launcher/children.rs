@@ -6,17 +6,17 @@ use std::io;
 use std::os::fd::BorrowedFd;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::sync::Arc;
 
 use rustix::io::Errno;
-use rustix::process::{Resource, Signal, kill_process_group};
+use rustix::process::{Resource, Signal};
+use tandem_board_host::control_group::MemoryGroups;
+use tandem_board_host::descendants;
 use tandem_board_host::spawn::{self, Placement, RealtimePolicy, Watched, Wish};
 
-use super::descendants::{self, MARK};
-use super::group::MemoryGroups;
-use super::{SocketNames, Unrecoverable, system};
-use crate::manifest::{Manifest, ProcessPlan, ResourceLimits, SchedulingPolicy};
+use super::{Unrecoverable, notify_socket, system};
+use crate::manifest::{Manifest, ProcessPlan, SchedulingPolicy};
 use crate::report::{CONTROL_SOCKET, NOTIFY_SOCKET};
 use crate::supervisor::ExitKind;
 use crate::trust::Platform;
@@ -24,19 +24,21 @@ use crate::trust::Platform;
 /// The path for programs that a process starts; deterministic.
 const PATH: &str = "/usr/local/bin:/usr/bin:/bin:/usr/local/sbin:/usr/sbin:/sbin";
 
-/// What is told if memory is limited by `setrlimit` alone.
-const NO_MEMORY_GROUP: &str = "a memory group (cgroup v1): its limit is RLIMIT_DATA alone";
+/// Environment variable that names the process of the manifest; descendants inherit it.
+const MARK: &str = "TANDEM_EXEC_PROCESS";
 
 #[derive(Debug)]
 pub(super) struct Children {
-    manifest: Arc<Manifest>,
+    pub(super) manifest: Arc<Manifest>,
     platform: Platform,
     folder: PathBuf,
-    names: SocketNames,
+    /// The name of the control socket and of the control groups.
+    pub(super) name: String,
     running: Vec<Option<Running>>,
-    status: Vec<String>,
+    /// What each process last said of itself.
+    pub(super) status: Vec<String>,
     /// A guardian handles what is left when the launcher dies.
-    guarded: bool,
+    pub(super) guarded: bool,
     memory: Option<MemoryGroups>,
 }
 
@@ -49,24 +51,28 @@ struct Running {
 /// A process that was started: its id, and what was not granted. Or why it was not started.
 type Start = Result<(u32, Vec<String>), String>;
 
+/// What the operating system refuses.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}: {1}")]
+struct Refusal(String, #[source] io::Error);
+
 impl Children {
     pub(super) fn new(
-        manifest: Arc<Manifest>,
+        manifest: Manifest,
         platform: Platform,
         folder: PathBuf,
-        names: &SocketNames,
-        guarded: bool,
+        name: String,
     ) -> Self {
         let count = manifest.processes.len();
         Self {
-            manifest,
+            manifest: Arc::new(manifest),
             platform,
             folder,
-            names: names.clone(),
             running: (0..count).map(|_| None).collect(),
             status: vec![String::new(); count],
-            guarded,
-            memory: MemoryGroups::named(&names.control),
+            guarded: false,
+            memory: MemoryGroups::named(&name),
+            name,
         }
     }
 
@@ -78,130 +84,97 @@ impl Children {
     /// Starts a process. A refusal of the program is an error of the process; an operating system
     /// that has no process or descriptor left is unrecoverable.
     pub(super) fn start(&mut self, at: usize) -> Result<Start, Unrecoverable> {
+        match self.try_start(at) {
+            Ok(started) => Ok(Ok(started)),
+            Err(error) => match system_failure(&*error) {
+                Some(lacks) => Err(system("starting a process")(lacks.into())),
+                None => Ok(Err(error.to_string())),
+            },
+        }
+    }
+
+    fn try_start(&mut self, at: usize) -> Result<(u32, Vec<String>), Box<dyn Error>> {
         let manifest = Arc::clone(&self.manifest);
-        let Some(plan) = manifest.processes.get(at) else {
-            return Ok(Err("no such process".to_owned()));
-        };
-        let mut trusted = match self.platform.command(&plan.program) {
-            Ok(trusted) => trusted,
-            Err(error) => return refused(&error, error.to_string()),
-        };
+        let plan = manifest.processes.get(at).ok_or("no such process")?;
+        let mut trusted = self.platform.command(&plan.program)?;
         trusted.command.args(&plan.arguments).env_clear();
         for (name, value) in self.environment(plan) {
-            if let Err(error) = trusted.set(&name, value.as_ref()) {
-                return refused(&error, error.to_string());
-            }
+            trusted.set(name, value.as_ref())?;
         }
-        let mut refusals = vec![];
-        refusals.extend(trusted.warning.map(|warning| warning.to_string()));
         let mut command = trusted.command;
         command.current_dir(self.folder.join(&plan.directory));
         command.stdin(Stdio::null());
+        if let Some(file) = &plan.output {
+            let file = File::options()
+                .append(true)
+                .create(true)
+                .open(self.folder.join(file))
+                .map_err(|source| Refusal("its output".to_owned(), source))?;
+            command.stdout(file.try_clone()?).stderr(file);
+        }
         let mut placement = placement(plan);
         placement.keep = trusted.keep;
         placement.when_caller_ends = (!self.guarded).then_some(Signal::TERM);
         placement.inherit_all = !self.guarded;
-        if let Err(error) = self.set_output(plan, &mut command) {
-            return refused(&error, format!("its output: {error}"));
-        }
+        let mut refused: Vec<String> = trusted.warning.into_iter().collect();
         if let Some(bytes) = plan.limits.memory {
-            match self
-                .memory
-                .as_ref()
-                .map(|groups| groups.make(plan.name(), bytes))
-            {
-                Some(Ok(group)) => placement.join.push(Arc::new(group)),
-                _ => refusals.push(NO_MEMORY_GROUP.to_owned()),
-            }
+            let groups = self.memory.as_ref();
+            let group = groups.and_then(|it| it.make(plan.name(), bytes).ok());
+            placement.memory = group.map(Arc::new);
+            refused.extend((placement.memory.is_none()).then(|| Wish::Memory.to_string()));
         }
-        let (child, wishes) = match spawn::spawn(&mut command, &placement) {
-            Ok(started) => started,
-            Err(error) => {
-                let program = plan.program.display();
-                return refused(&error, format!("{program}: {error}"));
-            }
-        };
+        let program = || plan.program.display().to_string();
+        let (child, wishes) =
+            spawn::spawn(&mut command, &placement).map_err(|source| Refusal(program(), source))?;
         let pid = child.id();
         // The child is not waited for yet, so it has a descriptor, unless there is none left.
-        let watched = Watched::new(pid).ok_or_else(|| io::Error::from(Errno::MFILE));
-        let watched = watched.map_err(system("a descriptor of a process"))?;
-        if let Some(place) = self.running.get_mut(at) {
-            *place = Some(Running { child, watched });
-        }
-        refusals.extend(wishes.into_iter().map(|wish| in_words(wish).to_owned()));
-        Ok(Ok((pid, refusals)))
+        let watched = Watched::new(pid).ok_or(Errno::MFILE)?;
+        self.running[at] = Some(Running { child, watched });
+        refused.extend(wishes.iter().map(Wish::to_string));
+        Ok((pid, refused))
     }
 
     /// Returns the environment of a process; later variables replace earlier ones.
-    fn environment(&self, plan: &ProcessPlan) -> Vec<(String, String)> {
-        let mut all = vec![("PATH".to_owned(), PATH.to_owned())];
+    fn environment<'a>(&self, plan: &'a ProcessPlan) -> Vec<(&'a str, String)> {
+        let mut all = vec![("PATH", PATH.to_owned())];
         if plan.reports() {
-            all.push((NOTIFY_SOCKET.to_owned(), format!("@{}", self.names.notify)));
+            all.push((NOTIFY_SOCKET, format!("@{}", notify_socket(&self.name))));
         }
         if plan.state_management {
-            all.push((
-                CONTROL_SOCKET.to_owned(),
-                format!("@{}", self.names.control),
-            ));
+            all.push((CONTROL_SOCKET, format!("@{}", self.name)));
         }
         let own = plan.environment.iter();
-        all.extend(own.map(|(name, value)| (name.clone(), value.clone())));
-        all.push((MARK.to_owned(), plan.name().to_owned()));
+        all.extend(own.map(|(name, value)| (name.as_str(), value.clone())));
+        all.push((MARK, plan.name().to_owned()));
         all
     }
 
-    /// Leads standard output and standard error to the file of the manifest.
-    fn set_output(&self, plan: &ProcessPlan, command: &mut Command) -> io::Result<()> {
-        if let Some(file) = &plan.output {
-            let mut options = File::options();
-            let file = options
-                .append(true)
-                .create(true)
-                .open(self.folder.join(file))?;
-            command.stdout(file.try_clone()?).stderr(file);
-        }
-        Ok(())
-    }
-
     pub(super) fn fds(&self) -> impl Iterator<Item = BorrowedFd<'_>> {
-        use std::os::fd::AsFd as _;
         let running = self.running.iter().flatten();
-        running.map(|running| running.watched.fd().as_fd())
+        running.map(|running| running.watched.fd())
     }
 
     /// Returns the processes that have ended, and kills what they have left.
     pub(super) fn take_ended(&mut self) -> Vec<(usize, ExitKind)> {
         let mut ended = vec![];
         for at in 0..self.running.len() {
-            let Some(running) = self.running.get_mut(at).and_then(Option::as_mut) else {
+            let running = self.running[at].take_if(|it| it.watched.has_ended());
+            let Some(mut running) = running else {
                 continue;
             };
-            if !running.watched.has_ended() {
-                continue;
-            }
             // Before it is waited for: until then the number of its group is not used again.
-            kill_group(&running.child);
+            spawn::kill_group(running.child.id());
             let status = running.child.wait().ok();
             let signal = status.and_then(|status| status.signal());
             let code = status.and_then(|status| status.code()).unwrap_or(-1);
             ended.push((at, signal.map_or(ExitKind::Code(code), ExitKind::Signal)));
-            self.running[at] = None;
-            let name = self.manifest.processes[at].name().to_owned();
-            descendants::kill_orphans_of(&name, &self.pids());
+            self.kill_orphans_of(at);
         }
         ended
     }
 
-    pub(super) fn terminate(&self, at: usize) {
-        if let Some(pid) = self.pid(at) {
-            spawn::signal(pid, Signal::TERM);
-        }
-    }
-
     pub(super) fn kill(&self, at: usize) {
-        if let Some(running) = self.running.get(at).and_then(Option::as_ref) {
-            kill_group(&running.child);
-        }
+        self.pid(at).into_iter().for_each(spawn::kill_group);
     }
 
     pub(super) fn kill_all(&self) {
@@ -211,82 +184,42 @@ impl Children {
     /// Kills what the processes have started and left. In a process of its own, the launcher kills
     /// all of its descendants.
     pub(super) fn kill_what_is_left(&self) {
-        self.kill_orphans();
+        while self.guarded && descendants::signal_all(Signal::KILL) > 0 {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        if !self.guarded {
+            (0..self.running.len()).for_each(|at| self.kill_orphans_of(at));
+        }
         self.memory.iter().for_each(MemoryGroups::remove);
     }
 
-    fn kill_orphans(&self) {
-        for plan in &self.manifest.processes {
-            if self.guarded {
-                while descendants::signal_all(Signal::KILL) > 0 {
-                    std::thread::sleep(std::time::Duration::from_millis(1));
-                }
-                return;
-            }
-            descendants::kill_orphans_of(plan.name(), &self.pids());
-        }
-    }
-
-    fn pids(&self) -> Vec<u32> {
+    fn kill_orphans_of(&self, at: usize) {
+        let mark = format!("{MARK}={}", self.manifest.processes[at].name());
         let running = self.running.iter().flatten();
-        running.map(|running| running.child.id()).collect()
+        let known: Vec<u32> = running.map(|it| it.child.id()).collect();
+        descendants::kill_orphans(&mark, &known);
     }
 
     pub(super) fn pid(&self, at: usize) -> Option<u32> {
         Some(self.running.get(at)?.as_ref()?.child.id())
     }
 
-    /// Returns which process has this id, if the launcher listens to it.
-    pub(super) fn reporter(&self, pid: u32) -> Option<usize> {
-        let at = (0..self.running.len()).find(|at| self.pid(*at) == Some(pid))?;
-        self.manifest.processes.get(at)?.reports().then_some(at)
-    }
-
-    /// Returns whether this is a process of the manifest, and not state management.
-    pub(super) fn is_other_process(&self, pid: u32) -> bool {
-        let at = (0..self.running.len()).find(|at| self.pid(*at) == Some(pid));
-        at.is_some_and(|at| !self.manifest.processes[at].state_management)
-    }
-
-    pub(super) fn set_status(&mut self, at: usize, status: String) {
-        if let Some(place) = self.status.get_mut(at) {
-            *place = status;
-        }
-    }
-
-    pub(super) fn status(&self, at: usize) -> String {
-        self.status.get(at).cloned().unwrap_or_default()
-    }
-}
-
-/// Returns why a process was not started, unless the operating system fails.
-fn refused(error: &(dyn Error + 'static), why: String) -> Result<Start, Unrecoverable> {
-    match system_failure(error) {
-        Some(errno) => Err(system("starting a process")(errno.into())),
-        None => Ok(Err(why)),
+    /// Returns which process of the manifest has this id.
+    pub(super) fn with_pid(&self, pid: u32) -> Option<usize> {
+        (0..self.running.len()).find(|at| self.pid(*at) == Some(pid))
     }
 }
 
 /// Returns the error number if it says that the system has no process, descriptor or memory left.
 fn system_failure(error: &(dyn Error + 'static)) -> Option<Errno> {
-    let mut error = Some(error);
-    while let Some(this) = error {
-        let number = this
-            .downcast_ref::<io::Error>()
-            .and_then(Errno::from_io_error);
-        let number = number.or_else(|| this.downcast_ref::<Errno>().copied());
+    let mut causes = std::iter::successors(Some(error), |it| (*it).source());
+    causes.find_map(|cause| {
+        let number = cause.downcast_ref::<io::Error>();
+        let number = number.and_then(Errno::from_io_error);
+        let number = number.or_else(|| cause.downcast_ref::<Errno>().copied());
         let lacks = [Errno::AGAIN, Errno::NOMEM, Errno::MFILE, Errno::NFILE];
-        if let Some(number) = number.filter(|it| lacks.contains(it)) {
-            return Some(number);
-        }
-        error = this.source();
-    }
-    None
-}
-
-fn kill_group(child: &Child) {
-    // Fails if all of the group have ended.
-    let _ = spawn::pid(child.id()).map(|pid| kill_process_group(pid, Signal::KILL));
+        number.filter(|it| lacks.contains(it))
+    })
 }
 
 fn placement(plan: &ProcessPlan) -> Placement {
@@ -295,39 +228,25 @@ fn placement(plan: &ProcessPlan) -> Placement {
         SchedulingPolicy::Fifo => Some(RealtimePolicy::Fifo),
         SchedulingPolicy::RoundRobin => Some(RealtimePolicy::RoundRobin),
     };
+    let limits = [
+        (Resource::Data, plan.limits.memory),
+        (Resource::Nofile, plan.limits.open_files),
+        (Resource::Nproc, plan.limits.processes),
+        (Resource::Fsize, plan.limits.file_size),
+        (Resource::Core, plan.limits.core),
+        (Resource::Cpu, plan.limits.cpu_time),
+        (Resource::Memlock, plan.limits.locked_memory),
+    ];
+    let limits = limits.into_iter();
     Placement {
         cpus: plan.cpus.clone(),
         scheduling: policy.zip(plan.priority.as_ref().map(|it| *it.get_ref())),
-        limits: limits(plan.limits),
+        limits: limits
+            .filter_map(|(of, value)| Some((of, value?)))
+            .collect(),
         uid: plan.uid,
         gid: plan.gid,
         groups: plan.groups.clone(),
-        keep: vec![],
-        join: vec![],
-        inherit_all: false,
-        when_caller_ends: None,
-    }
-}
-
-fn limits(of: ResourceLimits) -> Vec<(Resource, u64)> {
-    let all = [
-        (Resource::Data, of.memory),
-        (Resource::Nofile, of.open_files),
-        (Resource::Nproc, of.processes),
-        (Resource::Fsize, of.file_size),
-        (Resource::Core, of.core),
-        (Resource::Cpu, of.cpu_time),
-        (Resource::Memlock, of.locked_memory),
-    ];
-    let set = |(resource, value): (Resource, Option<u64>)| Some((resource, value?));
-    all.into_iter().filter_map(set).collect()
-}
-
-const fn in_words(wish: Wish) -> &'static str {
-    match wish {
-        Wish::Cpus => "its CPUs",
-        Wish::Scheduling => "its scheduling policy and priority",
-        Wish::Limit => "a limit: the hard limit of the launcher is lower",
-        Wish::Group => NO_MEMORY_GROUP,
+        ..Placement::default()
     }
 }

@@ -2,89 +2,91 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
 
-use rustix::event::{PollFd, PollFlags, poll};
-use rustix::process::{Signal, kill_process_group};
-use rustix::time::Timespec;
-use tandem_board_host::spawn::{self, Watched};
+use rustix::process::Signal;
+use serde::{Deserialize, Serialize};
+use tandem_board::Duration;
+use tandem_board_host::control_group::{ControlGroup, MemoryGroups};
+use tandem_board_host::spawn::{self, Placement, Watched};
+use tandem_board_host::{clock, descendants};
 
-use super::descendants;
-use super::group::{ControlGroup, MemoryGroups};
 use crate::manifest::SafeState;
 use crate::trust::Platform;
 
-const LOOK_AGAIN: Duration = Duration::from_millis(2);
+const LOOK_AGAIN: Duration = Duration::from_ms(2);
 /// How long killed processes may take to disappear.
-const GONE_WITHIN: Duration = Duration::from_secs(5);
+const GONE_WITHIN: Duration = Duration::from_ms(5_000);
 
-/// What the clean-up needs to know.
-#[derive(Clone, Debug, Default)]
+/// What the clean-up needs to know. The launcher sends it to its guardian, as a line of JSON.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(super) struct CleanUp {
-    /// Commands of the command line: they act whatever the manifest says.
-    pub(super) before: Vec<String>,
-    pub(super) after: Vec<String>,
-    /// From SIGTERM to SIGKILL; also the longest time of a command, ms.
-    pub(super) within_ms: u64,
-    /// The manifest's folder and the anchor, for commands of the manifest.
-    pub(super) manifest: Option<(PathBuf, Option<PathBuf>)>,
+    pub(super) safe_state: SafeState,
+    /// The name of the launcher's control groups, if it has begun.
+    pub(super) name: Option<String>,
+    #[serde(skip)]
     pub(super) group: Option<ControlGroup>,
-    pub(super) memory: Option<MemoryGroups>,
+    /// The manifest and the anchor, for commands of the manifest. Those of the command line act
+    /// whatever the manifest says.
+    #[serde(skip)]
+    pub(super) files: Option<(PathBuf, Option<PathBuf>)>,
 }
 
 impl CleanUp {
     /// Cleans up. Returns what could not be done.
     pub(super) fn run(&self) -> Vec<String> {
-        let within = Duration::from_millis(self.within_ms);
+        let SafeState { before, after, .. } = &self.safe_state;
         let mut failed = vec![];
-        failed.extend(self.command("pre-clean-up", &self.before, within).err());
+        failed.extend(self.command("pre-clean-up", before).err());
         descendants::signal_all(Signal::TERM);
-        wait_for_none(within);
-        let deadline = Instant::now() + GONE_WITHIN;
-        while descendants::signal_all(Signal::KILL) > 0 && Instant::now() < deadline {
+        wait_until(self.safe_state.within, || {
+            descendants::living(&[]).is_empty()
+        });
+        wait_until(GONE_WITHIN, || {
+            let left = descendants::signal_all(Signal::KILL);
             self.group.iter().for_each(ControlGroup::kill);
-            std::thread::sleep(LOOK_AGAIN);
-        }
+            left == 0
+        });
         let left = descendants::living(&[]);
         if !left.is_empty() {
             failed.push(format!("processes that cannot be killed: {left:?}"));
         }
         self.group.iter().for_each(ControlGroup::remove);
-        self.memory.iter().for_each(MemoryGroups::remove);
-        failed.extend(self.command("post-clean-up", &self.after, within).err());
+        let memory = self.name.as_deref().and_then(MemoryGroups::named);
+        memory.iter().for_each(MemoryGroups::remove);
+        failed.extend(self.command("post-clean-up", after).err());
         failed
     }
 
-    fn command(&self, what: &str, words: &[String], within: Duration) -> Result<(), String> {
+    /// Cleans up in a launcher that has lost its guardian.
+    pub(super) fn run_alone(&self) {
+        let group = self.name.as_deref().and_then(ControlGroup::leave);
+        let alone = Self {
+            group,
+            ..self.clone()
+        };
+        alone.run();
+    }
+
+    fn command(&self, what: &str, words: &[String]) -> Result<(), String> {
         let Some((program, arguments)) = words.split_first() else {
             return Ok(());
         };
         let fail = |why: &dyn std::fmt::Display| format!("{what}: {program}: {why}");
-        let (mut command, keep) = match &self.manifest {
-            None => (Command::new(program), vec![]),
-            Some((manifest, anchor)) => {
-                let platform = Platform::open(manifest, anchor.as_deref());
-                let trusted = platform.and_then(|it| it.command(Path::new(program)));
-                let trusted = trusted.map_err(|error| fail(&error))?;
-                (trusted.command, trusted.keep)
-            }
-        };
+        let mut placement = Placement::default();
+        let mut command = Command::new(program);
+        if let Some((manifest, anchor)) = &self.files {
+            let platform = Platform::open(manifest, anchor.as_deref());
+            let trusted = platform.and_then(|it| it.command(Path::new(program)));
+            let trusted = trusted.map_err(|error| fail(&error))?;
+            (command, placement.keep) = (trusted.command, trusted.keep);
+        }
         command.args(arguments).stdin(Stdio::null());
-        let placement = spawn::Placement {
-            keep,
-            ..Default::default()
-        };
         let started = spawn::spawn(&mut command, &placement);
         let (mut child, _) = started.map_err(|error| fail(&error))?;
         if let Some(watched) = Watched::new(child.id()) {
-            let mut fds = [PollFd::new(watched.fd(), PollFlags::IN)];
-            let span = Timespec {
-                tv_sec: within.as_secs() as i64,
-                tv_nsec: i64::from(within.subsec_nanos()),
-            };
-            if poll(&mut fds, Some(&span)) == Ok(0) {
-                // Fails if it has just ended.
-                let _ = spawn::pid(child.id()).map(|pid| kill_process_group(pid, Signal::KILL));
+            wait_until(self.safe_state.within, || watched.has_ended());
+            if !watched.has_ended() {
+                spawn::kill_group(child.id());
             }
         }
         match child.wait() {
@@ -95,39 +97,10 @@ impl CleanUp {
     }
 }
 
-/// The clean-up by a launcher that has lost its guardian.
-#[derive(Clone, Debug)]
-pub struct AloneCleanUp(CleanUp, String);
-
-impl AloneCleanUp {
-    pub(super) fn of(
-        safe_state: &SafeState,
-        manifest: (PathBuf, Option<PathBuf>),
-        group: &str,
-    ) -> Self {
-        let clean_up = CleanUp {
-            before: safe_state.before.clone(),
-            after: safe_state.after.clone(),
-            within_ms: safe_state.within.as_us() / 1_000,
-            manifest: Some(manifest),
-            group: None,
-            memory: MemoryGroups::named(group),
-        };
-        Self(clean_up, group.to_owned())
-    }
-
-    /// Cleans up. Returns what could not be done.
-    pub(super) fn run(&self) -> Vec<String> {
-        let mut clean_up = self.0.clone();
-        clean_up.group = ControlGroup::leave(&self.1);
-        clean_up.run()
-    }
-}
-
-/// Waits until no descendant is left, but no longer than this.
-fn wait_for_none(within: Duration) {
-    let deadline = Instant::now() + within;
-    while !descendants::living(&[]).is_empty() && Instant::now() < deadline {
-        std::thread::sleep(LOOK_AGAIN);
+/// Waits until this is so, but no longer than this time.
+fn wait_until(within: Duration, mut is_so: impl FnMut() -> bool) {
+    let deadline = clock::now() + within;
+    while !is_so() && clock::now() < deadline {
+        clock::sleep_until(clock::now() + LOOK_AGAIN);
     }
 }

@@ -4,27 +4,26 @@
 //! half second. Silence, the end of the launcher, or its exit status 70 begin the clean-up.
 
 use std::io::{self, Read as _};
-use std::os::fd::{AsFd as _, BorrowedFd, OwnedFd};
+use std::os::fd::{AsFd as _, OwnedFd};
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt as _;
 use std::path::PathBuf;
-use std::process::{Child, Command, ExitStatus, Stdio};
-use std::time::{Duration, Instant};
+use std::process::{Command, Stdio};
 
-use rustix::event::{PollFd, PollFlags, poll};
 use rustix::io::Errno;
 use rustix::process::{Signal, getpid, set_child_subreaper};
-use rustix::time::Timespec;
-use serde::{Deserialize, Serialize};
+use tandem_board::Duration;
+use tandem_board_host::control_group::ControlGroup;
+use tandem_board_host::socket::LineStream;
 use tandem_board_host::spawn::{self, Watched};
+use tandem_board_host::{clock, descendants};
 
 use super::clean_up::CleanUp;
-use super::descendants;
-use super::group::{ControlGroup, MemoryGroups};
-use crate::manifest::SafeState;
 
 /// The shortest time of the watchdog: below, a busy machine would end a launcher that works.
-const SHORTEST: Duration = Duration::from_millis(100);
+const SHORTEST: Duration = Duration::from_ms(100);
+/// The longest line of the launcher, bytes: it holds the commands of the clean-up.
+const LONGEST: usize = 4 << 20;
 /// The exit status of a launcher that gives up.
 pub const GIVES_UP: u8 = 70;
 /// The exit status of a launcher that has started nothing.
@@ -54,206 +53,98 @@ pub enum GuardEnd {
     CleanedUp(String, Vec<String>),
 }
 
-/// The line that the launcher sends first.
-#[derive(Debug, Serialize, Deserialize)]
-struct Begin {
-    before: Vec<String>,
-    after: Vec<String>,
-    within_ms: u64,
-    watchdog_ms: u64,
-    group: String,
+/// In the launcher: sends a line to the guardian. Returns whether the guardian lives.
+pub(super) fn send(line: &str) -> bool {
+    // A guardian that is suspended reads later: its silence is no end.
+    let sent = rustix::io::write(io::stdin(), format!("{line}\n").as_bytes());
+    !matches!(sent, Err(Errno::PIPE | Errno::CONNRESET))
 }
 
-/// The launcher's end.
-#[derive(Debug)]
-pub(super) struct Link {
-    stream: io::Stdin,
-}
-
-impl Link {
-    pub(super) fn new() -> Self {
-        Self {
-            stream: io::stdin(),
+/// Starts the launcher by this command, which must run [`super::ProcessLauncher::run`]. Watches it
+/// until it has ended, and cleans up if need be. Bytes from `stops` are signals that the launcher
+/// gets, too. `warn` is told what the machine does not grant.
+///
+/// # Errors
+/// If the system does not permit to start or to watch it.
+pub fn guard(
+    mut launcher: Command,
+    plan: &GuardPlan,
+    stops: &UnixStream,
+    warn: &mut dyn FnMut(&str),
+) -> io::Result<GuardEnd> {
+    set_child_subreaper(Some(getpid()))?;
+    stops.set_nonblocking(true)?;
+    let (ours, theirs) = UnixStream::pair()?;
+    theirs.set_nonblocking(true)?;
+    launcher.stdin(Stdio::from(OwnedFd::from(theirs)));
+    let mut child = launcher.process_group(0).spawn()?;
+    drop(launcher);
+    let watched = Watched::new(child.id()).ok_or(io::ErrorKind::NotFound)?;
+    let mut lines = LineStream::new(ours)?;
+    let mut clean_up = CleanUp::default();
+    clean_up.safe_state.before.clone_from(&plan.before);
+    clean_up.safe_state.after.clone_from(&plan.after);
+    let (mut last, mut is_silent) = (clock::now(), false);
+    loop {
+        let ended = child.try_wait()?;
+        while let Ok(line) = lines.line(LONGEST) {
+            if let Ok(begun) = serde_json::from_str(&line) {
+                clean_up = begin(plan, begun, child.id(), warn);
+            }
+            last = clock::now();
         }
-    }
-
-    /// Tells the guardian what the clean-up needs.
-    pub(super) fn begin(&mut self, safe_state: &SafeState, group: &str) {
-        let begin = Begin {
-            before: safe_state.before.clone(),
-            after: safe_state.after.clone(),
-            within_ms: safe_state.within.as_us() / 1_000,
-            watchdog_ms: safe_state.watchdog.as_us() / 1_000,
-            group: group.to_owned(),
-        };
-        let mut line = serde_json::to_string(&begin).unwrap_or_default();
-        line.push('\n');
-        self.send(line.as_bytes());
-    }
-
-    /// Says that the launcher lives. Returns whether the guardian does.
-    pub(super) fn kick(&mut self) -> bool {
-        self.send(b"\n")
-    }
-
-    fn send(&self, line: &[u8]) -> bool {
-        // A guardian that is suspended reads later: its silence is no end.
-        !matches!(
-            rustix::io::write(&self.stream, line),
-            Err(Errno::PIPE | Errno::CONNRESET)
-        )
-    }
-
-    pub(super) fn fd(&self) -> BorrowedFd<'_> {
-        self.stream.as_fd()
-    }
-}
-
-/// The guardian while it watches.
-#[derive(Debug)]
-pub struct Guardian {
-    plan: GuardPlan,
-    clean_up: CleanUp,
-    launcher: Child,
-    watched: Watched,
-    stream: UnixStream,
-    heard: Vec<u8>,
-    watchdog: Duration,
-}
-
-impl Guardian {
-    /// Starts the launcher by this command, which must run [`super::ProcessLauncher::run`].
-    ///
-    /// # Errors
-    /// If the system does not permit it.
-    pub fn start(mut launcher: Command, plan: GuardPlan) -> io::Result<Self> {
-        set_child_subreaper(Some(getpid()))?;
-        let (stream, theirs) = UnixStream::pair()?;
-        theirs.set_nonblocking(true)?;
-        launcher
-            .stdin(Stdio::from(OwnedFd::from(theirs)))
-            .process_group(0);
-        let child = launcher.spawn()?;
-        drop(launcher);
-        let watched = Watched::new(child.id()).ok_or(io::ErrorKind::NotFound)?;
-        let defaults = SafeState::default();
-        Ok(Self {
-            clean_up: CleanUp {
-                before: plan.before.clone(),
-                after: plan.after.clone(),
-                within_ms: defaults.within.as_us() / 1_000,
-                manifest: None,
-                group: None,
-                memory: None,
-            },
-            plan,
-            launcher: child,
-            watched,
-            stream,
-            heard: vec![],
-            watchdog: Duration::from_nanos(defaults.watchdog.as_ns()),
-        })
-    }
-
-    /// Watches until the launcher has ended, and cleans up if need be. Bytes from `stops` are
-    /// signals that the launcher gets, too. `warn` is told what the machine does not grant.
-    ///
-    /// # Errors
-    /// If the system does not permit to watch.
-    pub fn watch(mut self, stops: &UnixStream, warn: &mut dyn FnMut(&str)) -> io::Result<GuardEnd> {
-        stops.set_nonblocking(true)?;
-        self.stream.set_nonblocking(true)?;
-        let mut last = Instant::now();
-        let why = loop {
-            if let Some(status) = self.launcher.try_wait()? {
-                match status.code() {
-                    Some(0) => {
-                        self.clean_up.group.iter().for_each(ControlGroup::remove);
-                        return Ok(GuardEnd::Done);
-                    }
-                    Some(code) if code == i32::from(NOTHING_STARTED) => {
-                        self.clean_up.run();
-                        return Ok(GuardEnd::NothingStarted);
-                    }
-                    _ => break ended(status),
+        let watchdog = clean_up.safe_state.watchdog.max(SHORTEST);
+        if let Some(status) = ended {
+            let why = match status.code() {
+                Some(0) => {
+                    clean_up.group.iter().for_each(ControlGroup::remove);
+                    return Ok(GuardEnd::Done);
                 }
-            }
-            if self.hear(warn) {
-                last = Instant::now();
-            }
-            if last.elapsed() > self.watchdog {
-                // Fails if it has just ended.
-                let _ = self.launcher.kill();
-                self.launcher.wait()?;
-                break format!("the launcher was silent for {:?}", self.watchdog);
-            }
-            self.sleep(stops, self.watchdog.saturating_sub(last.elapsed()));
-            let mut bytes = [0; 16];
-            for _ in 0..(&mut &*stops).read(&mut bytes).unwrap_or(0) {
-                spawn::signal(self.launcher.id(), Signal::TERM);
-            }
-        };
-        self.hear(warn);
-        Ok(GuardEnd::CleanedUp(why, self.clean_up.run()))
-    }
-
-    fn sleep(&self, stops: &UnixStream, span: Duration) {
-        let fds = [
-            self.watched.fd().as_fd(),
-            self.stream.as_fd(),
-            stops.as_fd(),
-        ];
-        let mut fds = fds.map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN));
-        let span = Timespec {
-            tv_sec: span.as_secs() as i64,
-            tv_nsec: i64::from(span.subsec_nanos()) + 1,
-        };
-        // An interrupted poll needs no handling: the caller looks at everything anyway.
-        let _ = poll(&mut fds, Some(&span));
-    }
-
-    /// Reads what the launcher has sent. Returns whether it was anything.
-    fn hear(&mut self, warn: &mut dyn FnMut(&str)) -> bool {
-        let mut bytes = [0; 4096];
-        let mut has_heard = false;
-        while let Ok(count @ 1..) = (&self.stream).read(&mut bytes) {
-            has_heard = true;
-            self.heard.extend(bytes.iter().take(count));
+                Some(code) if code == i32::from(NOTHING_STARTED) => {
+                    clean_up.run();
+                    return Ok(GuardEnd::NothingStarted);
+                }
+                Some(code) if code == i32::from(GIVES_UP) => "the launcher has given up".to_owned(),
+                _ if is_silent => {
+                    let ms = watchdog.as_us() / 1_000;
+                    format!("the launcher was silent for {ms} ms")
+                }
+                _ => format!("the launcher has ended ({status})"),
+            };
+            return Ok(GuardEnd::CleanedUp(why, clean_up.run()));
         }
-        while let Some(end) = self.heard.iter().position(|byte| *byte == b'\n') {
-            let line: Vec<u8> = self.heard.drain(..=end).collect();
-            if let Ok(begin) = serde_json::from_slice::<Begin>(&line) {
-                self.begin(begin, warn);
-            }
+        let until = last + watchdog;
+        if clock::now() > until {
+            is_silent = true;
+            // Fails if it has just ended.
+            let _ = child.kill();
+            child.wait()?;
+            continue;
         }
-        has_heard
-    }
-
-    fn begin(&mut self, begin: Begin, warn: &mut dyn FnMut(&str)) {
-        self.watchdog = SHORTEST.max(Duration::from_millis(begin.watchdog_ms));
-        self.clean_up.within_ms = begin.within_ms;
-        // Beside the start of the processes: a move takes 5 to 15 ms, in which the kernel waits.
-        let launcher = self.launcher.id();
-        let group = ControlGroup::make(&begin.group);
-        let all = || descendants::living(&[launcher]);
-        self.clean_up.group = group.filter(|it| it.take(all));
-        self.clean_up.memory = MemoryGroups::named(&begin.group);
-        if self.clean_up.group.is_none() {
-            warn(
-                "no control group (cgroup v2) is granted: process groups and /proc take its place",
-            );
-        }
-        if self.plan.before.is_empty() && self.plan.after.is_empty() {
-            self.clean_up.before = begin.before;
-            self.clean_up.after = begin.after;
-            self.clean_up.manifest = Some((self.plan.manifest.clone(), self.plan.anchor.clone()));
+        let fds = [watched.fd(), lines.as_fd(), stops.as_fd()];
+        // A failure needs no handling: the loop looks at everything anyway.
+        let _ = clock::wait_for(fds, until.since(clock::now()) + Duration::from_ns(1));
+        let mut bytes = [0; 16];
+        for _ in 0..(&mut &*stops).read(&mut bytes).unwrap_or(0) {
+            spawn::signal(child.id(), Signal::TERM);
         }
     }
 }
 
-fn ended(status: ExitStatus) -> String {
-    match status.code() {
-        Some(code) if code == i32::from(GIVES_UP) => "the launcher has given up".to_owned(),
-        _ => format!("the launcher has ended ({status})"),
+/// Returns the clean-up of a launcher that has begun, and takes the launcher into a control group.
+fn begin(plan: &GuardPlan, begun: CleanUp, launcher: u32, warn: &mut dyn FnMut(&str)) -> CleanUp {
+    // Beside the start of the processes: a move takes 5 to 15 ms, in which the kernel waits.
+    let group = begun.name.as_deref().and_then(ControlGroup::make);
+    let group = group.filter(|it| it.take(|| descendants::living(&[launcher])));
+    if group.is_none() {
+        warn("no control group (cgroup v2) is granted: process groups and /proc take its place");
     }
+    let mut clean_up = CleanUp { group, ..begun };
+    if plan.before.is_empty() && plan.after.is_empty() {
+        clean_up.files = Some((plan.manifest.clone(), plan.anchor.clone()));
+    } else {
+        clean_up.safe_state.before.clone_from(&plan.before);
+        clean_up.safe_state.after.clone_from(&plan.after);
+    }
+    clean_up
 }

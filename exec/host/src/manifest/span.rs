@@ -1,6 +1,6 @@
 //! Spans of time in the manifest: a number with its unit, as `"250ms"`.
 
-use serde::{Deserialize as _, Deserializer, de};
+use serde::{Deserialize as _, Deserializer, Serializer, de};
 use tandem_board::Duration;
 
 const UNITS: [(&str, u64); 5] = [
@@ -18,6 +18,11 @@ pub(super) fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Duration, D::Er
         let expected = "a whole number with its unit: ns, us, ms, s or min, as \"250ms\"";
         de::Error::invalid_value(de::Unexpected::Str(&text), &expected)
     })
+}
+
+/// Writes a span.
+pub(super) fn write<S: Serializer>(span: &Duration, to: S) -> Result<S::Ok, S::Error> {
+    to.collect_str(&format_args!("{}ns", span.as_ns()))
 }
 
 fn parse(text: &str) -> Option<Duration> {

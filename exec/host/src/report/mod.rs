@@ -3,12 +3,12 @@
 //! The protocol is systemd's `sd_notify`, with a number for checkpoints. A process without
 //! `NOTIFY_SOCKET` has no launcher, or one that does not listen: its reports go nowhere.
 
-use std::io::{self, BufRead as _, BufReader, Write as _};
+use std::io;
 use std::os::linux::net::SocketAddrExt as _;
 use std::os::unix::ffi::OsStrExt as _;
-use std::os::unix::net::{SocketAddr, UnixDatagram, UnixStream};
+use std::os::unix::net::{SocketAddr, UnixDatagram};
 
-use tandem_board_host::clock;
+use tandem_board_host::{clock, socket};
 
 /// Environment variable with the socket for reports.
 pub const NOTIFY_SOCKET: &str = "NOTIFY_SOCKET";
@@ -72,23 +72,10 @@ pub fn say(lines: &str) -> io::Result<()> {
 /// # Errors
 /// If there is no launcher, or the target was not reached; the text says why.
 pub fn switch_target(name: &str) -> io::Result<()> {
-    let socket = std::env::var_os(CONTROL_SOCKET).ok_or(io::ErrorKind::NotFound)?;
-    let answer = ask(socket.as_bytes(), &format!("target {name}"))?;
-    match answer.as_str() {
+    let socket = std::env::var(CONTROL_SOCKET).map_err(io::Error::other)?;
+    let socket = socket.strip_prefix('@').unwrap_or(&socket);
+    match socket::ask(socket, &format!("target {name}"))?.as_str() {
         "ok" => Ok(()),
         why => Err(io::Error::other(why.to_owned())),
     }
-}
-
-/// Sends one request to a control socket of this abstract name, and returns the answer.
-pub(crate) fn ask(name: &[u8], request: &str) -> io::Result<String> {
-    let name = name.strip_prefix(b"@").unwrap_or(name);
-    let mut stream = UnixStream::connect_addr(&SocketAddr::from_abstract_name(name)?)?;
-    stream.write_all(format!("{request}\n").as_bytes())?;
-    let mut answer = String::new();
-    BufReader::new(stream).read_line(&mut answer)?;
-    if answer.is_empty() {
-        return Err(io::Error::other("the launcher ended before it answered"));
-    }
-    Ok(answer.trim_end().to_owned())
 }

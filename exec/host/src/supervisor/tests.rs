@@ -436,7 +436,7 @@ impl World {
                 self.killed[at] = true;
             }
             // Each switch gives each process a new start, and its restarts.
-            Action::Tell(Notice::Switching(_)) => self.starts = [0; 5],
+            Action::Tell(LaunchEvent::Switching { .. }) => self.starts = [0; 5],
             Action::Tell(_) => {}
             Action::End(outcome) => self.outcome = Some(outcome),
         }

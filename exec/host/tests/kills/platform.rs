@@ -16,9 +16,7 @@ use tandem_board_host::{RunName, clock};
 use tandem_exec::client::{Activated, Standing};
 use tandem_exec::master::Config;
 use tandem_exec::message::{Activation, ClientId};
-use tandem_exec_host::launcher::{
-    self, GuardEnd, GuardPlan, Guardian, NOTHING_STARTED, ProcessLauncher,
-};
+use tandem_exec_host::launcher::{self, GuardEnd, GuardPlan, NOTHING_STARTED, ProcessLauncher};
 use tandem_exec_host::report;
 use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace};
 
@@ -153,7 +151,7 @@ fn guardian(run: &RunName, manifest: &Path) -> Done {
         manifest: manifest.to_owned(),
         ..GuardPlan::default()
     };
-    match Guardian::start(command, plan)?.watch(&stops()?, &mut |_| ())? {
+    match launcher::guard(command, &plan, &stops()?, &mut |_| ())? {
         GuardEnd::Done => clean(run.as_str()),
         GuardEnd::NothingStarted => Err("nothing was started".into()),
         GuardEnd::CleanedUp(why, failed) => Err(format!("{why}; {failed:?}").into()),

@@ -10,7 +10,7 @@ use rustix::process::{Pid, Signal, kill_process, test_kill_process};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::low_level::pipe;
 use tandem_exec_host::launcher::{
-    self, GuardEnd, GuardPlan, Guardian, NOTHING_STARTED, ProcessLauncher, Told,
+    self, GuardEnd, GuardPlan, NOTHING_STARTED, ProcessLauncher, Told,
 };
 
 /// A test that takes longer hangs: on a loaded machine the longest takes a tenth of it.
@@ -248,11 +248,7 @@ pub(crate) fn guardian(words: &[String]) -> ExitCode {
         before: hook(1).unwrap_or_default(),
         after: hook(2).unwrap_or_default(),
     };
-    match Guardian::start(command, plan)
-        .unwrap()
-        .watch(&stops(), &mut |_| {})
-        .unwrap()
-    {
+    match launcher::guard(command, &plan, &stops(), &mut |_| {}).unwrap() {
         GuardEnd::Done => ExitCode::SUCCESS,
         GuardEnd::NothingStarted => ExitCode::from(2),
         GuardEnd::CleanedUp(why, failed) => {

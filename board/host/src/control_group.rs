@@ -1,5 +1,4 @@
-//! A control group (cgroup v2) around the launcher and all that it starts, where the machine grants
-//! one: nothing that a process starts can leave it unseen, and one write kills all.
+//! Control groups, where the machine grants them.
 
 use std::fs::{self, File};
 use std::io;
@@ -9,15 +8,18 @@ use std::path::{Path, PathBuf};
 /// Where version 2 is mounted: alone, or beside version 1.
 const MOUNTS: [&str; 2] = ["/sys/fs/cgroup", "/sys/fs/cgroup/unified"];
 
+/// A group of version 2 around a launcher and all that it starts: nothing that a process starts can
+/// leave it unseen, and one write kills all.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct ControlGroup {
+pub struct ControlGroup {
     path: PathBuf,
 }
 
 impl ControlGroup {
     /// Makes a group of this name below the caller's, and kills what a launcher that was killed has
     /// left in it. `None` if the machine does not grant one.
-    pub(super) fn make(name: &str) -> Option<Self> {
+    #[must_use]
+    pub fn make(name: &str) -> Option<Self> {
         let group = Self::named(name)?;
         if group.path.exists() {
             group.kill();
@@ -39,7 +41,8 @@ impl ControlGroup {
     }
 
     /// Moves the caller out of the group of this name, and returns the group.
-    pub(super) fn leave(name: &str) -> Option<Self> {
+    #[must_use]
+    pub fn leave(name: &str) -> Option<Self> {
         let path = Self::named("")?.path;
         let inside = path.file_name().is_some_and(|it| it == name);
         let group = Self { path };
@@ -49,7 +52,7 @@ impl ControlGroup {
 
     /// Moves all of these processes into the group, and what they start at the same time. Returns
     /// whether the machine grants it.
-    pub(super) fn take(&self, all: impl Fn() -> Vec<u32>) -> bool {
+    pub fn take(&self, all: impl Fn() -> Vec<u32>) -> bool {
         let procs = self.path.join("cgroup.procs");
         loop {
             let inside = fs::read_to_string(&procs).unwrap_or_default();
@@ -63,12 +66,14 @@ impl ControlGroup {
         }
     }
 
-    pub(super) fn kill(&self) {
+    /// Kills all processes of the group.
+    pub fn kill(&self) {
         // A kernel before 5.14 does not have it.
         let _ = fs::write(self.path.join("cgroup.kill"), "1");
     }
 
-    pub(super) fn remove(&self) {
+    /// Removes the group, when no process is left.
+    pub fn remove(&self) {
         remove(&self.path);
     }
 }
@@ -88,13 +93,14 @@ fn remove(path: &Path) {
 /// Groups of version 1 that limit the memory of a process. Version 2 does so only in a group whose
 /// parent holds no process, and such a tree is not the launcher's to make.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct MemoryGroups {
+pub struct MemoryGroups {
     root: PathBuf,
 }
 
 impl MemoryGroups {
     /// Returns the groups below this name; makes none. `None` if the machine has no version 1.
-    pub(super) fn named(name: &str) -> Option<Self> {
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
         let own = fs::read_to_string("/proc/self/cgroup").ok()?;
         let own = own.lines().find_map(|line| line.split_once(":memory:/"))?.1;
         let root = Path::new("/sys/fs/cgroup/memory").join(own).join(name);
@@ -102,7 +108,10 @@ impl MemoryGroups {
     }
 
     /// Makes a group for a process with this limit, and returns what it writes to, to join.
-    pub(super) fn make(&self, process: &str, bytes: u64) -> io::Result<OwnedFd> {
+    ///
+    /// # Errors
+    /// If the machine does not grant it.
+    pub fn make(&self, process: &str, bytes: u64) -> io::Result<OwnedFd> {
         let path = self.root.join(process);
         fs::create_dir_all(&path)?;
         fs::write(path.join("memory.limit_in_bytes"), bytes.to_string())?;
@@ -113,7 +122,7 @@ impl MemoryGroups {
     }
 
     /// Removes all groups, when no process is left.
-    pub(super) fn remove(&self) {
+    pub fn remove(&self) {
         let groups = fs::read_dir(&self.root).into_iter().flatten().flatten();
         let groups = groups.filter(|it| it.file_type().is_ok_and(|kind| kind.is_dir()));
         groups.for_each(|group| remove(&group.path()));

@@ -2,7 +2,9 @@
 
 use core::fmt;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
+
+use super::Recovery;
 
 /// An event, and when it happened.
 #[derive(Clone, Debug, Serialize)]
@@ -14,33 +16,33 @@ pub struct Told {
     pub event: LaunchEvent,
 }
 
-/// An event of the launcher.
+/// An event of the launcher. Processes and run targets have the names of the manifest.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
+#[allow(missing_docs)]
 pub enum LaunchEvent {
     /// A process was started.
-    #[allow(missing_docs)]
     Started { process: String, pid: u32 },
     /// The machine does not grant a process this, and it runs without; or it runs unchecked, in
     /// monitor mode.
-    #[allow(missing_docs)]
     NotGranted { process: String, what: String },
     /// A process is ready.
-    #[allow(missing_docs)]
     Ready { process: String },
     /// A process has failed; what is next.
-    #[allow(missing_docs)]
     Failed {
         process: String,
         why: String,
-        next: String,
+        #[serde(serialize_with = "text")]
+        next: Recovery,
     },
     /// A switch to this run target has begun.
-    #[allow(missing_docs)]
     Switching { target: String },
     /// All processes of this run target are ready.
-    #[allow(missing_docs)]
     Reached { target: String },
+}
+
+fn text<S: Serializer>(it: &impl fmt::Display, to: S) -> Result<S::Ok, S::Error> {
+    to.collect_str(it)
 }
 
 impl fmt::Display for Told {
@@ -61,6 +63,17 @@ impl fmt::Display for Told {
     }
 }
 
+/// The answer to `ps`, as JSON in one line.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PlatformState {
+    /// The run target; `None` when all is to end.
+    pub target: Option<String>,
+    /// All of its processes are ready.
+    pub reached: bool,
+    /// All processes of the manifest.
+    pub processes: Vec<ProcessRow>,
+}
+
 /// A process in the answer to `ps`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProcessRow {
@@ -74,9 +87,4 @@ pub struct ProcessRow {
     pub restarts: u32,
     /// What it last said of itself.
     pub status: String,
-}
-
-/// Returns the answer to `ps`: one line of JSON.
-pub(super) fn state(target: Option<&str>, reached: bool, rows: &[ProcessRow]) -> String {
-    serde_json::json!({ "target": target, "reached": reached, "processes": rows }).to_string()
 }
