@@ -16,9 +16,9 @@ use std::thread::JoinHandle;
 
 use anyhow::{Context as _, anyhow};
 use signal_hook::consts::SIGTERM;
+use tandem_board_host::process_report;
 use tandem_board_host::realtime::{Claim, claim};
 use tandem_exec_host::launcher::{LaunchEvent, ProcessLauncher, Told};
-use tandem_exec_host::report;
 
 /// Priority under SCHED_FIFO, below those of all cores: an ADAS computer keeps its periods.
 const PRIORITY: u8 = 20;
@@ -157,7 +157,7 @@ pub(crate) fn begin(realtime: bool) -> anyhow::Result<Arc<AtomicBool>> {
     let over = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(SIGTERM, Arc::clone(&over)).context("SIGTERM")?;
     // Whoever starts it without a launcher needs no report.
-    report::ready().context("the launcher")?;
+    process_report::ready().context("the launcher")?;
     if realtime {
         claim_realtime();
     }

@@ -55,6 +55,14 @@ pub fn wait_for<'a>(
     }
 }
 
+/// Waits until this is so, but no longer than this. Looks every 2 ms.
+pub fn wait_until(within: Duration, mut is_so: impl FnMut() -> bool) {
+    let deadline = now() + within;
+    while !is_so() && now() < deadline {
+        sleep_until(now() + Duration::from_ms(2));
+    }
+}
+
 /// Converts nanoseconds for the kernel; cuts off values that are longer than it accepts.
 #[must_use]
 pub fn timespec(ns: u64) -> Timespec {

@@ -33,6 +33,7 @@ mod memory;
 mod name;
 mod observe;
 pub mod process_list;
+pub mod process_report;
 pub mod realtime;
 mod segment;
 pub mod services;

@@ -213,7 +213,8 @@ impl Shell<'_> {
             // A guardian that has ended already is noticed later.
             guardian::send(&serde_json::to_string(&self.launcher.clean_up).unwrap_or_default());
         }
-        if let Some(what) = self.launcher.children.warning() {
+        if let Some(warning) = self.launcher.children.platform.warning() {
+            let what = warning.to_string();
             let process = "manifest".to_owned();
             self.tell(LaunchEvent::NotGranted { process, what });
         }
@@ -351,7 +352,7 @@ impl Shell<'_> {
             self.inputs.push_back(Input::Stop);
         }
         if self.asked_to_stop > 1 {
-            children.kill_all();
+            (0..children.status.len()).for_each(|at| children.kill(at));
         }
         if children.guarded && !guardian::send("") {
             return Err(Unrecoverable {

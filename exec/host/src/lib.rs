@@ -5,7 +5,6 @@
 pub mod launcher;
 pub mod manifest;
 pub mod pool;
-pub mod report;
 pub mod supervisor;
 pub mod sync;
 pub mod trust;

@@ -13,11 +13,12 @@ use rustix::io::Errno;
 use rustix::process::{Resource, Signal};
 use tandem_board_host::control_group::MemoryGroups;
 use tandem_board_host::descendants;
+use tandem_board_host::process_report::{CONTROL_SOCKET, NOTIFY_SOCKET};
 use tandem_board_host::spawn::{self, Placement, RealtimePolicy, Watched, Wish};
 
 use super::{Unrecoverable, notify_socket, system};
 use crate::manifest::{Manifest, ProcessPlan, SchedulingPolicy};
-use crate::report::{CONTROL_SOCKET, NOTIFY_SOCKET};
+
 use crate::supervisor::ExitKind;
 use crate::trust::Platform;
 
@@ -30,7 +31,7 @@ const MARK: &str = "TANDEM_EXEC_PROCESS";
 #[derive(Debug)]
 pub(super) struct Children {
     pub(super) manifest: Arc<Manifest>,
-    platform: Platform,
+    pub(super) platform: Platform,
     folder: PathBuf,
     /// The name of the control socket and of the control groups.
     pub(super) name: String,
@@ -74,11 +75,6 @@ impl Children {
             memory: MemoryGroups::named(&name),
             name,
         }
-    }
-
-    /// Returns what is wrong with the manifest or the list of parts, in monitor mode.
-    pub(super) fn warning(&self) -> Option<String> {
-        self.platform.warning().map(ToString::to_string)
     }
 
     /// Starts a process. A refusal of the program is an error of the process; an operating system
@@ -175,10 +171,6 @@ impl Children {
 
     pub(super) fn kill(&self, at: usize) {
         self.pid(at).into_iter().for_each(spawn::kill_group);
-    }
-
-    pub(super) fn kill_all(&self) {
-        (0..self.running.len()).for_each(|at| self.kill(at));
     }
 
     /// Kills what the processes have started and left. In a process of its own, the launcher kills

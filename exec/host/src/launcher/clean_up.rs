@@ -13,7 +13,6 @@ use tandem_board_host::{clock, descendants};
 use crate::manifest::SafeState;
 use crate::trust::Platform;
 
-const LOOK_AGAIN: Duration = Duration::from_ms(2);
 /// How long killed processes may take to disappear.
 const GONE_WITHIN: Duration = Duration::from_ms(5_000);
 
@@ -38,10 +37,10 @@ impl CleanUp {
         let mut failed = vec![];
         failed.extend(self.command("pre-clean-up", before).err());
         descendants::signal_all(Signal::TERM);
-        wait_until(self.safe_state.within, || {
+        clock::wait_until(self.safe_state.within, || {
             descendants::living(&[]).is_empty()
         });
-        wait_until(GONE_WITHIN, || {
+        clock::wait_until(GONE_WITHIN, || {
             let left = descendants::signal_all(Signal::KILL);
             self.group.iter().for_each(ControlGroup::kill);
             left == 0
@@ -84,7 +83,7 @@ impl CleanUp {
         let started = spawn::spawn(&mut command, &placement);
         let (mut child, _) = started.map_err(|error| fail(&error))?;
         if let Some(watched) = Watched::new(child.id()) {
-            wait_until(self.safe_state.within, || watched.has_ended());
+            clock::wait_until(self.safe_state.within, || watched.has_ended());
             if !watched.has_ended() {
                 spawn::kill_group(child.id());
             }
@@ -94,13 +93,5 @@ impl CleanUp {
             Ok(status) => Err(fail(&status)),
             Err(error) => Err(fail(&error)),
         }
-    }
-}
-
-/// Waits until this is so, but no longer than this time.
-fn wait_until(within: Duration, mut is_so: impl FnMut() -> bool) {
-    let deadline = clock::now() + within;
-    while !is_so() && clock::now() < deadline {
-        clock::sleep_until(clock::now() + LOOK_AGAIN);
     }
 }

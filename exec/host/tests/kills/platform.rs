@@ -12,12 +12,12 @@ use rustix::process::{Signal, set_parent_process_death_signal};
 use signal_hook::consts::SIGTERM;
 use signal_hook::low_level::pipe;
 use tandem_board::Duration;
+use tandem_board_host::process_report;
 use tandem_board_host::{RunName, clock};
 use tandem_exec::client::{Activated, Standing};
 use tandem_exec::master::Config;
 use tandem_exec::message::{Activation, ClientId};
 use tandem_exec_host::launcher::{self, GuardEnd, GuardPlan, NOTHING_STARTED, ProcessLauncher};
-use tandem_exec_host::report;
 use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace};
 
 /// Redundant clients, candidates for the master.
@@ -181,7 +181,7 @@ fn client(run: &RunName, id: usize, log: &str) -> Done {
     let id = ClientId::new(id).ok_or("no such client")?;
     let mut log = OpenOptions::new().append(true).create(true).open(log)?;
     let mut client = SyncClient::attach(place, id)?;
-    report::ready()?;
+    process_report::ready()?;
     let mut output = 0;
     loop {
         let activated = client.wait_for_activation(output, GIVE_UP)?;
@@ -232,7 +232,7 @@ fn master(run: &RunName, id: usize) -> Done {
     let place = SyncPlace::open(run, PLACE)?;
     let id = ClientId::new(id).ok_or("no such candidate")?;
     let mut master = SyncMaster::attach(place, CONFIG, id)?;
-    report::ready()?;
+    process_report::ready()?;
     master.run(|_| (), || false);
     Err("all clients terminated".into())
 }
@@ -244,7 +244,7 @@ fn tree(run: &str) -> Done {
         .args(["leaf", run])
         .process_group(0)
         .spawn()?;
-    report::ready()?;
+    process_report::ready()?;
     child.wait()?;
     Ok(())
 }

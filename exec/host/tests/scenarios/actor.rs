@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use signal_hook::consts::SIGTERM;
-use tandem_exec_host::report;
+use tandem_board_host::process_report;
 
 /// Does the steps. A step that fails writes `error` and ends the process with status 9.
 pub(crate) fn run(steps: &[String]) -> ExitCode {
@@ -31,14 +31,14 @@ fn act(verb: &str, object: &str) -> io::Result<()> {
     let has = |file: &str| Path::new(file).exists();
     let number = || object.parse::<u64>().map_err(io::Error::other);
     match verb {
-        "ready" => report::ready(),
-        "alive" => report::alive(),
-        "checkpoint" => report::checkpoint(number()? as u32),
-        "say" => report::say(object),
+        "ready" => process_report::ready(),
+        "alive" => process_report::alive(),
+        "checkpoint" => process_report::checkpoint(number()? as u32),
+        "say" => process_report::say(object),
         // As many as asked for, one each 100 ms.
         "beat" => (0..number()?).try_for_each(|_| {
             std::thread::sleep(Duration::from_millis(100));
-            report::alive()
+            process_report::alive()
         }),
         "sleep" => {
             std::thread::sleep(Duration::from_millis(number()?));
@@ -77,8 +77,8 @@ fn act(verb: &str, object: &str) -> io::Result<()> {
         },
         "term" => await_term(),
         "catch-term" => catch_term(object),
-        "to" => report::switch_target(object),
-        "not-to" => expect(report::switch_target(object).is_err()),
+        "to" => process_report::switch_target(object),
+        "not-to" => expect(process_report::switch_target(object).is_err()),
         "descriptors" => expect(open_descriptors()? == ["0", "1", "2"]),
         "argument" => {
             let mut arguments = std::env::args().skip_while(|it| it != "--").skip(1);
@@ -139,7 +139,7 @@ pub(crate) fn append(file: &str, text: &str) -> io::Result<()> {
 fn await_term() -> io::Result<()> {
     let asked = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(SIGTERM, Arc::clone(&asked))?;
-    report::ready()?;
+    process_report::ready()?;
     while !asked.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_millis(5));
     }
@@ -150,7 +150,7 @@ fn await_term() -> io::Result<()> {
 fn catch_term(file: &str) -> io::Result<()> {
     let asked = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(SIGTERM, Arc::clone(&asked))?;
-    report::ready()?;
+    process_report::ready()?;
     loop {
         std::thread::sleep(Duration::from_millis(5));
         if asked.swap(false, Ordering::Relaxed) {

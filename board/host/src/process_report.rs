@@ -1,4 +1,5 @@
-//! What a process says to the launcher, and how state management asks it for a run target.
+//! What a process says to the launcher of its platform, and how state management asks it for a run
+//! target.
 //!
 //! The protocol is systemd's `sd_notify`, with a number for checkpoints. A process without
 //! `NOTIFY_SOCKET` has no launcher, or one that does not listen: its reports go nowhere.
@@ -8,7 +9,7 @@ use std::os::linux::net::SocketAddrExt as _;
 use std::os::unix::ffi::OsStrExt as _;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 
-use tandem_board_host::{clock, socket};
+use crate::{clock, socket};
 
 /// Environment variable with the socket for reports.
 pub const NOTIFY_SOCKET: &str = "NOTIFY_SOCKET";
