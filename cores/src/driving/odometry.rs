@@ -162,9 +162,23 @@ impl Odometry {
         self.count = (self.count + 1).min(MEMORY);
         self.ego = *ego;
         if max(abs(pose.x), abs(pose.y)) > REBASE_M {
-            for mark in &mut self.marks {
-                mark.pose = mark.pose.seen_from(pose);
-            }
+            self.rebase();
+        }
+    }
+
+    /// Moves the frame to the newest pose: what is rounded in later poses no longer depends on how
+    /// far the vehicle has driven since this memory began.
+    pub(super) fn rebase(&mut self) {
+        let pose = self.marks[self.newest].pose;
+        for mark in &mut self.marks {
+            mark.pose = mark.pose.seen_from(pose);
+        }
+    }
+
+    /// Moves all times by this many nanoseconds.
+    pub(super) fn shift(&mut self, by_ns: i64) {
+        for mark in &mut self.marks {
+            mark.at = mark.at.moved(by_ns);
         }
     }
 

@@ -130,6 +130,9 @@ pub struct Object {
 pub struct Scene {
     /// The time to which the scene is predicted, on this system's clock.
     pub at: Instant,
+    /// The same moment on the timeline that both systems share. Without a time of the vehicle it
+    /// has a fixed distance from [`Scene::at`], at first zero.
+    pub moment: Instant,
     /// The time at which the oldest measurement for this cycle was on the bus. If none arrived, the
     /// value of the previous cycle.
     pub measured: Instant,

@@ -24,6 +24,7 @@ use super::types::{
     TrajectoryPoint,
 };
 use super::vehicle::{LENGTH_M, WIDTH_M};
+use tandem_board::{Duration, Instant};
 use behaviour::{Behaviour, Goal, Intent, Side, Situation};
 use lateral::{Path, Station, to_cartesian, to_frenet};
 use longitudinal::{COMFORTABLE_BRAKING, Corridor, Manner, Profile, STEP_S, STEPS, cheapest};
@@ -32,6 +33,8 @@ use prediction::Predicted;
 
 /// An older plan is not continued, s.
 const MAX_PLAN_AGE_S: f32 = 0.3;
+/// The timeline that both systems share has leapt if it differs by this from this system's clock.
+const LEAP: Duration = Duration::from_ms(1);
 /// When the vehicle is this far from its plan, planning restarts from the measured state, m, m,
 /// m/s.
 const MAX_ASIDE_M: f32 = 0.8;
@@ -86,8 +89,23 @@ pub struct Planner {
 #[derive(Clone, Debug)]
 struct Last {
     trajectory: Trajectory,
+    /// The scene's moment.
+    moment: Instant,
     ego: Ego,
     line: Option<CentreLine>,
+}
+
+impl Last {
+    /// Returns how much later the scene is: on the timeline that both systems share, unless that
+    /// has leapt.
+    fn age(&self, scene: &Scene) -> Duration {
+        let age = scene.at.since(self.trajectory.at);
+        let shared = scene.moment.since(self.moment);
+        match (shared - age).max(age - shared) < LEAP {
+            true => shared,
+            false => age,
+        }
+    }
 }
 
 impl Default for Planner {
@@ -139,6 +157,7 @@ impl Planner {
                 memory: plan.memory,
                 points,
             },
+            moment: received.at,
             ego: received.ego,
             line: received.line.as_ref().map(CentreLine::received),
         });
@@ -267,6 +286,7 @@ impl Planner {
         self.plans = self.plans.saturating_add(1);
         self.last = Some(Last {
             trajectory: trajectory.clone(),
+            moment: scene.moment,
             ego: scene.ego,
             line,
         });
@@ -287,7 +307,7 @@ impl Planner {
         let Some(last) = &self.last else {
             return (measured, 0.0);
         };
-        let age = scene.at.since(last.trajectory.at).as_secs_f32();
+        let age = last.age(scene).as_secs_f32();
         if age > MAX_PLAN_AGE_S || scene.at <= last.trajectory.at {
             return (measured, 0.0);
         }
@@ -323,7 +343,7 @@ impl Planner {
             return;
         };
         let Some(before) = last.line else { return };
-        let age = scene.at.since(last.trajectory.at).as_secs_f32();
+        let age = last.age(scene).as_secs_f32();
         let step = motion(&last.ego, &scene.ego, age);
         let jump = line.project(0.0, 0.0).1 - before.project(step.x, step.y).1;
         if abs(jump) > 0.5 * lanes.width {
