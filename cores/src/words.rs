@@ -220,7 +220,7 @@ impl Part for Object {
 impl Part for Scene {
     const WORDS: usize = 2
         + 2
-        + 2
+        + <Option<Instant>>::WORDS
         + 1
         + Ego::WORDS
         + 1
@@ -231,10 +231,11 @@ impl Part for Scene {
         + <Vec<Object, MAX_OBJECTS>>::WORDS;
 
     fn put(scene: &Self, put: &mut impl FnMut(u32)) {
-        [scene.at, scene.moment, scene.measured]
+        [scene.at, scene.measured]
             .iter()
             .for_each(|at| Instant::put(at, put));
         put(scene.cycle);
+        Option::put(&scene.moment, put);
         Ego::put(&scene.ego, put);
         put(u32::from(scene.lanes.is_some()) | u32::from(scene.missing) << 8);
         match &scene.lanes {
@@ -249,8 +250,8 @@ impl Part for Scene {
     }
 
     fn take(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
-        let (at, moment) = (Instant::take(take)?, Instant::take(take)?);
-        let (measured, cycle) = (Instant::take(take)?, take());
+        let (at, measured, cycle) = (Instant::take(take)?, Instant::take(take)?, take());
+        let moment = <Option<Instant> as Part>::take(take)?;
         let ego = Ego::take(take)?;
         let seen_and_missing = take();
         let seen = bool::take(&mut || seen_and_missing & 0xFF)?;
@@ -396,7 +397,7 @@ mod tests {
         };
         Scene {
             at: Instant::from_ns(0x1_2345_6789),
-            moment: Instant::from_ns(0x7_2345_6789),
+            moment: Some(Instant::from_ns(0x7_2345_6789)),
             measured: Instant::from_ns(0x1_2300_0000),
             cycle: 99,
             missing: 0,

@@ -105,7 +105,7 @@ impl Perception {
             request: DriverRequest::default(),
             scene: Scene {
                 at: Instant::ORIGIN,
-                moment: Instant::ORIGIN,
+                moment: None,
                 measured: Instant::ORIGIN,
                 cycle: 0,
                 missing: 0,
@@ -418,7 +418,8 @@ impl Perception {
         let ego = *self.odometry.ego();
         let lanes = self.lanes.lanes(now);
         let road = RoadView::new(lanes.as_ref(), driven_curvature(&ego));
-        (self.scene.at, self.scene.moment) = (self.timeline.local(now), now);
+        self.scene.at = self.timeline.local(now);
+        self.scene.moment = self.timeline.is_shared().then_some(now);
         self.scene.cycle = self.scene.cycle.wrapping_add(1);
         self.scene.ego = ego;
         self.scene.lanes = lanes;

@@ -33,7 +33,7 @@ use prediction::Predicted;
 
 /// An older plan is not continued, s.
 const MAX_PLAN_AGE_S: f32 = 0.3;
-/// The timeline that both systems share has leapt if it differs by this from this system's clock.
+/// The vehicle's time has leapt if a span differs by this from that of this system's clock.
 const LEAP: Duration = Duration::from_ms(1);
 /// When the vehicle is this far from its plan, planning restarts from the measured state, m, m,
 /// m/s.
@@ -42,6 +42,9 @@ const MAX_BEHIND_M: f32 = 4.0;
 const MAX_SPEED_ERROR: f32 = 2.5;
 /// Share of the difference by which the plan moves to the measured state in each cycle.
 const DRAW: f32 = 0.04;
+/// With the vehicle's time, a plan continues the last one on this grid: m, rad, 1/m, m/s, m/s². So
+/// plans of two systems that have begun differently become the same bits.
+const GRID: [f32; 5] = [2e-3, 2e-4, 2e-6, 2e-3, 2e-3];
 /// Lateral acceleration in curves, m/s².
 const CURVE_ACCELERATION: f32 = 2.2;
 /// A view of at least this range counts as full, m: it needs no limit of speed.
@@ -90,21 +93,19 @@ pub struct Planner {
 struct Last {
     trajectory: Trajectory,
     /// The scene's moment.
-    moment: Instant,
+    moment: Option<Instant>,
     ego: Ego,
     line: Option<CentreLine>,
 }
 
 impl Last {
-    /// Returns how much later the scene is: on the timeline that both systems share, unless that
-    /// has leapt.
+    /// Returns how much later the scene is: in the vehicle's time, unless that has leapt.
     fn age(&self, scene: &Scene) -> Duration {
         let age = scene.at.since(self.trajectory.at);
-        let shared = scene.moment.since(self.moment);
-        match (shared - age).max(age - shared) < LEAP {
-            true => shared,
-            false => age,
-        }
+        let moments = scene.moment.zip(self.moment);
+        let shared = moments.map(|(now, last)| now.since(last));
+        let is_right = |shared: &Duration| (*shared - age).max(age - *shared) < LEAP;
+        shared.filter(is_right).unwrap_or(age)
     }
 }
 
@@ -119,6 +120,20 @@ struct View {
     frame: FrenetFrame,
     objects: Vec<Predicted, MAX_OBJECTS>,
     lanes: Option<Lanes>,
+}
+
+/// Returns the nearest state on [`GRID`].
+fn on_grid(point: &TrajectoryPoint) -> TrajectoryPoint {
+    let near = |value: f32, step: f32| libm::rintf(value / step) * step;
+    let [place, angle, curvature, speed, acceleration] = GRID;
+    TrajectoryPoint {
+        x: near(point.x, place),
+        y: near(point.y, place),
+        heading: near(point.heading, angle),
+        curvature: near(point.curvature, curvature),
+        speed: near(point.speed, speed),
+        acceleration: near(point.acceleration, acceleration),
+    }
 }
 
 impl Planner {
@@ -157,7 +172,7 @@ impl Planner {
                 memory: plan.memory,
                 points,
             },
-            moment: received.at,
+            moment: None,
             ego: received.ego,
             line: received.line.as_ref().map(CentreLine::received),
         });
@@ -334,7 +349,10 @@ impl Planner {
             speed: planned.speed + DRAW * (measured.speed - planned.speed),
             acceleration: planned.acceleration,
         };
-        (start, step.x)
+        match scene.moment {
+            Some(_) => (on_grid(&start), step.x),
+            None => (start, step.x),
+        }
     }
 
     /// Notices when the ego lane has become another one: its centre line jumps aside.
