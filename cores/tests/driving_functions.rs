@@ -243,6 +243,7 @@ fn lanes() -> Lanes {
 fn scene(ms: u64, speed: f32, objects: &[Object]) -> Scene {
     Scene {
         at: at_ms(ms),
+        moment: None,
         measured: at_ms(ms),
         cycle: (ms / 50) as u32,
         missing: 0,

@@ -169,9 +169,11 @@ impl Odometry {
     /// Moves the frame to the newest pose: what is rounded in later poses no longer depends on how
     /// far the vehicle has driven since this memory began.
     pub(super) fn rebase(&mut self) {
-        let pose = self.marks[self.newest].pose;
-        for mark in &mut self.marks {
-            mark.pose = mark.pose.seen_from(pose);
+        let base = self.marks[self.newest].pose;
+        let axes = base.axes();
+        for Mark { pose, .. } in &mut self.marks {
+            (pose.x, pose.y) = axes.to_local(pose.x, pose.y);
+            pose.heading = wrap_angle(pose.heading - base.heading);
         }
     }
 

@@ -57,7 +57,10 @@ impl Timeline {
         let us = at.as_ns() / 1_000;
         let off_us = stamp_us.wrapping_sub(us as u32).cast_signed();
         match self.is_shared && off_us.unsigned_abs() <= STAMP_US {
-            true => Instant::from_ns(us.saturating_add_signed(off_us.into()).saturating_mul(1_000)),
+            true => Instant::from_ns(
+                us.saturating_add_signed(off_us.into())
+                    .saturating_mul(1_000),
+            ),
             false => at,
         }
     }

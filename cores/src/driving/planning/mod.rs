@@ -24,12 +24,12 @@ use super::types::{
     TrajectoryPoint,
 };
 use super::vehicle::{LENGTH_M, WIDTH_M};
-use tandem_board::{Duration, Instant};
 use behaviour::{Behaviour, Goal, Intent, Side, Situation};
 use lateral::{Path, Station, to_cartesian, to_frenet};
 use longitudinal::{COMFORTABLE_BRAKING, Corridor, Manner, Profile, STEP_S, STEPS, cheapest};
 use polynomial::Jet;
 use prediction::Predicted;
+use tandem_board::{Duration, Instant};
 
 /// An older plan is not continued, s.
 const MAX_PLAN_AGE_S: f32 = 0.3;
