@@ -1,5 +1,5 @@
-//! Perception on the vehicle's time: nothing that this time does disturbs the scene, and two systems
-//! with different clocks compute the same bits.
+//! Perception on the vehicle's time: whatever this time does, the scene is not disturbed. Two
+//! systems with different clocks compute the same bits.
 
 #![allow(clippy::unwrap_used)]
 

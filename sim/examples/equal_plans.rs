@@ -1,6 +1,6 @@
 //! Counts how many plans of core 2 are bit-equal in both systems, and what differs in the others.
-//! Arguments: seconds; drift of B's clock, ppb; `typical`, if jobs, wires and frames take time; then
-//! scenarios, without any the embedded ones.
+//! Arguments: seconds; drift of B's clock, ppb; `typical`, if jobs, wires and frames take time;
+//! then scenarios, without any the embedded ones.
 #![allow(clippy::print_stdout, reason = "its output is its purpose")]
 
 use std::cell::RefCell;

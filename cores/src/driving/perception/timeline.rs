@@ -9,7 +9,7 @@ use tandem_board::{Duration, Instant};
 use super::GlobalClock;
 
 /// Arrivals lie on whole multiples of it: each system reads another time for the same frame, some
-/// microseconds apart. An error of half of it moves the vehicle's pose by 2 mm at 4 m/s².
+/// microseconds apart. In half of it the vehicle changes its speed by 2 mm/s at 4 m/s².
 const GRID: Duration = Duration::from_ms(1);
 /// If the timeline deviates by more from the global time, one of both has leapt, ns.
 const LEAP_NS: u64 = 500_000;
