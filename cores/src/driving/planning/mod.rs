@@ -44,7 +44,7 @@ const MAX_SPEED_ERROR: f32 = 2.5;
 const DRAW: f32 = 0.04;
 /// With the vehicle's time, a plan continues the last one on this grid: m, rad, 1/m, m/s, m/s². So
 /// plans of two systems that have begun differently become the same bits.
-const GRID: [f32; 5] = [5e-4, 5e-5, 5e-7, 5e-4, 5e-4];
+const GRID: [f32; 5] = [1e-4, 1e-5, 1e-7, 1e-4, 1e-4];
 /// Lateral acceleration in curves, m/s².
 const CURVE_ACCELERATION: f32 = 2.2;
 /// A view of at least this range counts as full, m: it needs no limit of speed.
