@@ -1,5 +1,6 @@
 //! Counts how many plans of core 2 are bit-equal in both systems, and what differs in the others.
-//! Arguments: seconds; drift of B's clock, ppb; then scenarios, without any the embedded ones.
+//! Arguments: seconds; drift of B's clock, ppb; `typical`, if jobs, wires and frames take time;
+//! then scenarios, without any the embedded ones.
 #![allow(clippy::print_stdout, reason = "its output is its purpose")]
 
 use std::cell::RefCell;
@@ -11,7 +12,9 @@ use tandem_board_sim::{Config, Poller, SimBoard};
 use tandem_cores::driving::types::{Object, Scene, Trajectory};
 use tandem_cores::layout::{ControllerMap, SCENE, TRAJECTORY};
 use tandem_cores::words::Payload;
-use tandem_sim::drive::{Drive, poller};
+use tandem_sim::drive::Drive;
+use tandem_sim::time_chain::poller;
+use tandem_sim::timing::Time;
 use tandem_vehicle::Scenario;
 
 /// What one system planned, in order.
@@ -49,7 +52,7 @@ fn words(value: &impl Payload) -> Vec<u32> {
 }
 
 /// Names the parts of two scenes that are not bit-equal, in the order in which they are computed.
-fn differences(a: &Scene, b: &Scene, late_ns: i64) -> Vec<&'static str> {
+fn differences(a: &Scene, b: &Scene) -> Vec<&'static str> {
     let ego = [a, b].map(|scene| format!("{:?}", scene.ego));
     let lanes = [a, b].map(|scene| format!("{:?}", scene.lanes));
     let objects = |part: fn(&Object) -> String| {
@@ -60,7 +63,7 @@ fn differences(a: &Scene, b: &Scene, late_ns: i64) -> Vec<&'static str> {
         one != two
     };
     let parts = [
-        ("instant", late_ns != 0),
+        ("instant", a.moment != b.moment),
         ("missing", a.missing != b.missing),
         ("camera line", a.camera.c != b.camera.c),
         ("ego", ego[0] != ego[1]),
@@ -90,6 +93,9 @@ fn differences(a: &Scene, b: &Scene, late_ns: i64) -> Vec<&'static str> {
         .collect()
 }
 
+/// Plans of the first 10 s: the systems start at different times.
+const SETTLED: usize = 200;
+
 /// Without the parts that are times or counts of one system.
 fn content(mut plan: Trajectory) -> Vec<u32> {
     (plan.at, plan.measured, plan.cycle) = (Instant::ORIGIN, Instant::ORIGIN, 0);
@@ -107,19 +113,26 @@ fn main() {
         .and_then(|text| text.parse().ok())
         .unwrap_or(0);
     let mut scenarios: Vec<String> = arguments.collect();
+    let before = scenarios.len();
+    scenarios.retain(|name| name != "typical");
+    let time = match scenarios.len() < before {
+        true => Time::Typical,
+        false => Time::Ideal,
+    };
     if scenarios.is_empty() {
         scenarios = Scenario::names().map(str::to_owned).collect();
     }
     for scenario in scenarios {
         let plans = Plans::default();
-        let (kept, config) = (Rc::clone(&plans), tandem_cores::Config::rt());
+        let kept = Rc::clone(&plans);
         let mut settings = Config {
             seed: 1,
+            wires: time.wires(),
             ..Config::default()
         };
         settings.clocks[1].drift_ppb = drift_ppb;
         let mut drive = Drive::on_board(&scenario, settings, move |board| {
-            let core = poller(board, config);
+            let core = poller(board, time);
             if board.identity().core != CoreId::PLANNING {
                 return core;
             }
@@ -133,7 +146,7 @@ fn main() {
 
 fn report(scenario: &str, [a, b]: &[Vec<(Scene, Trajectory)>; 2]) {
     let (mut pairs, mut equal, mut same_scene, mut offsets) = (0_usize, 0_usize, 0_usize, vec![]);
-    let (mut last, mut last_plan) = (0, 0);
+    let (mut last, mut last_plan, mut settled) = (0, 0, [0, 0]);
     let mut why = BTreeMap::<String, usize>::new();
     let mut apart = [vec![], vec![]];
     // The clocks of the systems have different origins. Both hear the same camera lines.
@@ -151,8 +164,12 @@ fn report(scenario: &str, [a, b]: &[Vec<(Scene, Trajectory)>; 2]) {
         };
         pairs += 1;
         offsets.push(late(other).unsigned_abs());
-        equal += usize::from(content(plan.clone()) == content(other.clone()));
-        let mut found = differences(scene, other_scene, late(other));
+        let is_equal = content(plan.clone()) == content(other.clone());
+        equal += usize::from(is_equal);
+        if pairs > SETTLED {
+            settled = [settled[0] + 1, settled[1] + usize::from(is_equal)];
+        }
+        let mut found = differences(scene, other_scene);
         same_scene += usize::from(found.is_empty());
         let parts = [
             (
@@ -217,6 +234,7 @@ fn report(scenario: &str, [a, b]: &[Vec<(Scene, Trajectory)>; 2]) {
             all.last()
         );
     }
+    println!("    after the first 10 s: {} of {}", settled[1], settled[0]);
     println!("    the last that differs: number {last}; in its points: {last_plan}");
     for (why, count) in why {
         println!("    {count:6} differ in: {why}");

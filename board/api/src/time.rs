@@ -30,6 +30,12 @@ impl Instant {
         self.0
     }
 
+    /// Returns the instant `ns` nanoseconds later, or earlier if negative; saturates.
+    #[must_use]
+    pub const fn moved(self, ns: i64) -> Self {
+        Self(self.0.saturating_add_signed(ns))
+    }
+
     /// Returns the span since `earlier`; zero if `earlier` is later.
     #[must_use]
     pub const fn since(self, earlier: Self) -> Duration {

@@ -162,9 +162,25 @@ impl Odometry {
         self.count = (self.count + 1).min(MEMORY);
         self.ego = *ego;
         if max(abs(pose.x), abs(pose.y)) > REBASE_M {
-            for mark in &mut self.marks {
-                mark.pose = mark.pose.seen_from(pose);
-            }
+            self.rebase();
+        }
+    }
+
+    /// Moves the frame to the newest pose: what is rounded in later poses no longer depends on how
+    /// far the vehicle has driven since this memory began.
+    pub(super) fn rebase(&mut self) {
+        let base = self.marks[self.newest].pose;
+        let axes = base.axes();
+        for Mark { pose, .. } in &mut self.marks {
+            (pose.x, pose.y) = axes.to_local(pose.x, pose.y);
+            pose.heading = wrap_angle(pose.heading - base.heading);
+        }
+    }
+
+    /// Moves all times by this many nanoseconds.
+    pub(super) fn shift(&mut self, by_ns: i64) {
+        for mark in &mut self.marks {
+            mark.at = mark.at.moved(by_ns);
         }
     }
 
