@@ -140,7 +140,11 @@ impl<'b, B: Board> Core1<'b, B> {
         self.board.trace(Event::TaskIn { task, begin }.encode());
         self.begun = Some(Begun {
             released: at,
-            at: match self.perception.is_on_vehicle_time() && now.since(at) < PERIOD {
+            // After a time-out it has read all frames until now.
+            at: match self.perception.is_on_vehicle_time()
+                && at < self.expected + PATIENCE
+                && now.since(at) < PERIOD
+            {
                 true => at,
                 false => now,
             },

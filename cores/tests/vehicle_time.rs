@@ -192,3 +192,42 @@ fn two_systems_with_one_time_compute_the_same_scenes() {
     assert!(differ.iter().all(|number| *number < 100), "{differ:?}");
     assert!(!differ.is_empty(), "they began differently");
 }
+
+/// A sender that was held up sends its frames within a millisecond: the newest motion counts, with
+/// and without the vehicle's time.
+#[test]
+fn of_frames_in_one_millisecond_the_newest_counts() {
+    for has_time in [false, true] {
+        let mut perception = Perception::new();
+        let mut scene = None;
+        for number in 0..54_u64 {
+            let late_ns = if number < 50 {
+                0
+            } else {
+                3_600_000 + (number - 50) * 130_000
+            };
+            let due = if number < 50 { number } else { 53 };
+            let now = Instant::from_ns(1_000 * MS + due * 10 * MS + late_ns);
+            let us = now.as_ns() / 1_000 + 5_000_000_000;
+            let global = GlobalClock::new(now, us, Duration::ZERO);
+            perception.set_global(global.filter(|_| has_time));
+            let motion = EgoMotion {
+                world_running: true,
+                speed: 30.0 - number as f32,
+                ..EgoMotion::default()
+            };
+            perception.on_message(now, &Message::EgoMotion(motion));
+            scene = Some(perception.cycle(now).clone());
+        }
+        assert_eq!(scene.unwrap().ego.speed, 30.0 - 53.0);
+    }
+}
+
+/// A time that the 64 bits of the timeline cannot hold is no time.
+#[test]
+fn a_time_beyond_the_timeline_is_none() {
+    let last = i64::MAX as u64 / 1_000;
+    let clock = |us| GlobalClock::new(Instant::ORIGIN, us, Duration::ZERO);
+    assert!(clock(last).is_some());
+    assert_eq!(clock(last + 1), None);
+}

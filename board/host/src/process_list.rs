@@ -164,10 +164,10 @@ pub(crate) fn pids() -> impl Iterator<Item = u32> {
     entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok())
 }
 
-/// What `/proc/PID/stat` says of a process: fields 3, 4 and 39 (proc(5)).
+/// What `/proc/PID/stat` says of a process: fields 3, 4, 20 and 39 (proc(5)).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stat {
-    /// Its parent has not waited for it yet.
+    /// All of its threads have ended, not its first one alone. Its parent has not waited for it.
     pub(crate) has_ended: bool,
     pub(crate) parent: u32,
     /// The CPU on which it last ran.
@@ -182,10 +182,11 @@ impl Stat {
     /// Field 2, the name, may hold any character, so fields are counted from its closing bracket.
     fn parse(line: &str) -> Option<Self> {
         let mut fields = line.rsplit_once(')')?.1.split_whitespace();
+        let is_zombie = matches!(fields.next()?, "Z" | "X");
         Some(Self {
-            has_ended: matches!(fields.next()?, "Z" | "X"),
             parent: fields.next()?.parse().ok()?,
-            cpu: fields.nth(34).and_then(|cpu| cpu.parse().ok()),
+            has_ended: fields.nth(15)?.parse::<u32>().ok()? <= 1 && is_zombie,
+            cpu: fields.nth(18).and_then(|cpu| cpu.parse().ok()),
         })
     }
 }
@@ -224,6 +225,6 @@ mod tests {
     fn a_cut_line_is_no_process() {
         assert_eq!(Stat::parse("17 (x"), None);
         assert_eq!(Stat::parse("17 (x)"), None);
-        assert_eq!(Stat::parse("17 (x) R 1 2").map(|it| it.cpu), Some(None));
+        assert_eq!(Stat::parse("17 (x) R 1 2"), None);
     }
 }

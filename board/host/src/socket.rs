@@ -120,7 +120,8 @@ impl RequestSocket {
     /// If the system does not give a descriptor for a connection.
     pub fn take(&mut self) -> io::Result<Vec<LineRequest>> {
         let own = rustix::process::geteuid().as_raw();
-        while self.connections.len() < MOST_CONNECTIONS {
+        // As many as there may be, also if each is refused: a flood of them must not hold it up.
+        for _ in self.connections.len()..MOST_CONNECTIONS {
             match self.listener.accept() {
                 Ok((stream, _)) => {
                     let stream = LineStream::new(stream)?;

@@ -314,10 +314,12 @@ pub fn signal(number: u32, signal: Signal) {
     }
 }
 
-/// Kills the process group of this process. No effect if all of the group have ended.
+/// Kills this process, which must be a child that was not waited for, and its process group. It may
+/// have left the group.
 pub fn kill_group(leader: u32) {
     if let Some(leader) = pid(leader) {
         let _ = kill_process_group(leader, Signal::KILL);
+        let _ = kill_process(leader, Signal::KILL);
     }
 }
 

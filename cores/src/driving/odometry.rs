@@ -140,7 +140,7 @@ impl Odometry {
         }
     }
 
-    /// Takes the motion measured at `now`. A time that is not later than the last one is ignored.
+    /// Takes the motion measured at `now`. A time before the last one is ignored.
     pub fn update(&mut self, now: Instant, ego: &Ego) {
         if self.count == 0 {
             self.marks[0] = Mark {
@@ -152,7 +152,12 @@ impl Odometry {
             return;
         }
         let last = self.marks[self.newest];
-        if now <= last.at {
+        if now < last.at {
+            return;
+        }
+        if now == last.at {
+            // On the grid of arrivals: the newest counts.
+            self.ego = *ego;
             return;
         }
         let dt = clamp(now.since(last.at).as_secs_f32(), 0.0, MAX_EXTRAPOLATION_S);

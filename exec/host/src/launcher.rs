@@ -40,6 +40,9 @@ const LOOK_AGAIN: Duration = Duration::from_ms(500);
 /// The most reports between two looks at all else: a process that floods must not hold it up.
 const MOST_AT_ONCE: usize = 256;
 
+/// The most requests for run targets that wait.
+const MOST_WAITING: usize = 64;
+
 /// Why a manifest cannot be run, for people: it is not there, not to be trusted or wrong, or a
 /// launcher runs it already, or the system does not permit it. Nothing was started.
 #[derive(Debug, thiserror::Error)]
@@ -69,7 +72,7 @@ impl From<String> for Unrecoverable {
 #[must_use]
 pub fn give_up(why: &Unrecoverable) -> u8 {
     if let Some(clean_up) = &why.clean_up {
-        clean_up.run_alone();
+        clean_up.clone().run_alone();
     }
     GIVES_UP
 }
@@ -184,6 +187,7 @@ impl ProcessLauncher {
             waiting: vec![],
             inputs: VecDeque::new(),
             begin: clock::now(),
+            heard: clock::now(),
             tell,
             is_done: false,
         };
@@ -201,6 +205,8 @@ struct Shell<'a> {
     waiting: Vec<(String, LineRequest)>,
     inputs: VecDeque<Input>,
     begin: Instant,
+    /// When it last looked at what has happened: what was due by then is handled.
+    heard: Instant,
     tell: &'a mut dyn FnMut(&Told),
     is_done: bool,
 }
@@ -221,8 +227,12 @@ impl Shell<'_> {
         let initial = self.launcher.children.manifest.initial();
         self.inputs.push_back(Input::Switch(initial));
         loop {
-            while let Some(input) = self.inputs.pop_front() {
-                for action in self.supervisor.on_input(clock::now(), input) {
+            // What follows from these waits for the next look: starts may fail again and again.
+            for input in std::mem::take(&mut self.inputs) {
+                // What a process reports while others start is not late.
+                let is_tick = input == Input::Tick;
+                let now = if is_tick { self.heard } else { clock::now() };
+                for action in self.supervisor.on_input(now, input) {
                     self.perform(action)?;
                 }
             }
@@ -230,7 +240,9 @@ impl Shell<'_> {
                 self.launcher.children.kill_what_is_left();
                 return Ok(());
             }
-            self.wait()?;
+            if self.inputs.is_empty() {
+                self.wait()?;
+            }
             self.hear()?;
         }
     }
@@ -308,7 +320,7 @@ impl Shell<'_> {
         let now = clock::now();
         let watchdog = Duration::from_ns(children.manifest.safe_state.watchdog.as_ns() / 4);
         let look_again = now + LOOK_AGAIN.min(watchdog);
-        let tick = self.supervisor.next_tick(now);
+        let tick = self.supervisor.next_tick(self.heard);
         let span = tick.map_or(look_again, |it| it.min(look_again)).since(now);
         let stdin = io::stdin();
         let fds = [notify.as_fd(), self.stops.as_fd()].into_iter();
@@ -326,23 +338,23 @@ impl Shell<'_> {
             control,
             clean_up,
         } = &mut self.launcher;
-        // Reports first: a process that reports and ends has reported.
-        for _ in 0..MOST_AT_ONCE {
-            let Some((pid, datagram)) = notify.receive() else {
-                break;
-            };
+        self.heard = clock::now();
+        // A process that reports and then ends has reported: its reports are read in between.
+        let ended = children.have_ended();
+        let datagrams = std::iter::from_fn(|| notify.receive());
+        for (pid, datagram) in datagrams.take(MOST_AT_ONCE) {
             let listens = |at: &usize| children.manifest.processes[*at].reports();
             let Some(at) = children.with_pid(pid).filter(listens) else {
                 continue;
             };
-            let datagram = notify::parse(&datagram, clock::now());
+            let datagram = notify::parse(&datagram, self.heard);
             if let Some(status) = datagram.status {
                 children.status[at] = status;
             }
             let reports = datagram.reports.into_iter();
             self.inputs.extend(reports.map(|it| Input::Report(at, it)));
         }
-        let ended = children.take_ended().into_iter();
+        let ended = children.wait_for(ended).into_iter();
         self.inputs
             .extend(ended.map(|(at, how)| Input::Ended(at, how)));
         let mut bytes = [0; 16];
@@ -350,6 +362,8 @@ impl Shell<'_> {
         if count > 0 {
             self.asked_to_stop += count;
             self.inputs.push_back(Input::Stop);
+            let waiting = self.waiting.drain(..);
+            waiting.for_each(|(_, it)| it.answer("all ends"));
         }
         if self.asked_to_stop > 1 {
             (0..children.status.len()).for_each(|at| children.kill(at));
@@ -380,6 +394,8 @@ impl Shell<'_> {
             Some(("target", _)) if asks.is_some_and(|it| !it.state_management) => {
                 request.answer("only state management may switch the run target");
             }
+            Some(("target", _)) if self.asked_to_stop > 0 => request.answer("all ends"),
+            Some(("target", _)) if self.waiting.len() >= MOST_WAITING => request.answer("busy"),
             Some(("target", name)) => {
                 if let Some(target) = manifest.target_named(name) {
                     self.waiting.push((name.to_owned(), request));
@@ -415,8 +431,7 @@ impl Shell<'_> {
     }
 
     fn name(&self, at: usize) -> String {
-        self.launcher.children.manifest.processes[at]
-            .name()
-            .to_owned()
+        let processes = &self.launcher.children.manifest.processes;
+        processes[at].name().to_owned()
     }
 }

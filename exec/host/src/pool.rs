@@ -43,11 +43,6 @@ pub enum PoolError {
     },
 }
 
-/// What the workers of a pool do with each element. It gets a generator with a seed of its own.
-pub trait Work<E>: Fn(&mut E, &mut Random) + Send + Sync + 'static {}
-
-impl<E, W: Fn(&mut E, &mut Random) + Send + Sync + 'static> Work<E> for W {}
-
 /// A run, as its workers see it. Between runs all its blocks are taken.
 #[derive(Clone, Copy, Debug, Default)]
 struct Run {
@@ -70,7 +65,8 @@ struct Shared<E, W> {
     ended: Condvar,
 }
 
-/// A pool of worker threads for one function. Dropping it ends the threads.
+/// A pool of worker threads for one function, which gets each element with a generator of its own.
+/// Dropping it ends the threads.
 pub struct WorkerPool<E, W> {
     shared: Arc<Shared<E, W>>,
     workers: Vec<JoinHandle<()>>,
@@ -78,7 +74,7 @@ pub struct WorkerPool<E, W> {
     patience: Duration,
 }
 
-impl<E: Send + 'static, W: Work<E>> WorkerPool<E, W> {
+impl<E: Send + 'static, W: Fn(&mut E, &mut Random) + Send + Sync + 'static> WorkerPool<E, W> {
     /// Starts the workers (1 ..= [`MAX_WORKERS`]; other numbers are cut) for lists of at most
     /// `capacity` elements. A block that takes longer than `patience` ends the process.
     ///
@@ -168,7 +164,7 @@ fn hung(run: &Run, patience: Duration) -> ! {
     std::process::abort()
 }
 
-impl<E, W: Work<E>> Shared<E, W> {
+impl<E, W: Fn(&mut E, &mut Random)> Shared<E, W> {
     /// Processes blocks until the pool closes.
     fn serve(&self) {
         let mut run = lock(&self.run);

@@ -225,7 +225,7 @@ impl Supervisor {
                 self.is_fallback = false;
                 self.switch(target);
             }
-            Input::Stop => self.target = None,
+            Input::Stop => (self.target, self.is_reached) = (None, false),
             Input::Tick => (0..self.units.len()).for_each(|at| self.tick(at)),
             _ => {}
         }
@@ -250,9 +250,7 @@ impl Supervisor {
     /// Returns the state of a process, in a word, and how often it was restarted.
     #[must_use]
     pub fn state_of(&self, at: usize) -> (&'static str, u32) {
-        let Some(unit) = self.units.get(at) else {
-            return ("unknown", 0);
-        };
+        let unit = &self.units[at];
         let word = match unit.state {
             UnitState::Off => "off",
             UnitState::Starting => "starting",

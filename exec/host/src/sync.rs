@@ -90,7 +90,9 @@ impl SyncPlace {
         &self.words[BELL_AT]
     }
 
-    fn request_words(&self, client: ClientId) -> &'static [AtomicU32] {
+    /// Returns the mailbox of a client, for tests of one that lies.
+    #[must_use]
+    pub fn request_words(&self, client: ClientId) -> &'static [AtomicU32] {
         &self.words[REQUESTS_AT + client.index() * REQUEST_WORDS..][..REQUEST_WORDS]
     }
 
@@ -157,15 +159,6 @@ impl SyncClient {
     /// Returns the client, for `random`, `activation_time`, `set_lost` and `set_done`.
     pub const fn client(&mut self) -> &mut Client {
         &mut self.client
-    }
-
-    /// Returns a writer of any words into this client's mailbox, for tests of a client that lies.
-    #[doc(hidden)]
-    #[must_use]
-    pub fn hostile(&self) -> Writer<'static, [u32; SyncRequest::WORDS]> {
-        let words = self.place.request_words(self.client.id());
-        #[allow(clippy::expect_used, reason = "attached once already")]
-        bare::newest_writer(words, REQUEST).expect("fits")
     }
 
     /// Ends the current activation with the digest of its outputs, and blocks until the time of

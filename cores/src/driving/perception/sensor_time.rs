@@ -40,11 +40,12 @@ pub struct GlobalClock {
 
 impl GlobalClock {
     /// At the time `at` of this core's clock the global time is `us`, µs, within
-    /// `error`. `None` if that error is too large to use it.
+    /// `error`. `None` if that error is too large to use it, or the time lies after the year 2262.
     #[must_use]
     pub fn new(at: Instant, us: u64, error: Duration) -> Option<Self> {
         let error_us = i32::try_from(error.as_us()).ok()?;
-        (error_us <= ERROR_US).then_some(Self { at, us, error_us })
+        let is_usable = error_us <= ERROR_US && us <= i64::MAX as u64 / 1_000;
+        is_usable.then_some(Self { at, us, error_us })
     }
 
     /// Returns the global time at `at`, modulo 2^32 µs.

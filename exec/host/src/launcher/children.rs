@@ -150,12 +150,17 @@ impl Children {
         running.map(|running| running.watched.fd())
     }
 
-    /// Returns the processes that have ended, and kills what they have left.
-    pub(super) fn take_ended(&mut self) -> Vec<(usize, ExitKind)> {
+    pub(super) fn have_ended(&self) -> Vec<usize> {
+        let running = self.running.iter().enumerate();
+        let ended = running.filter(|(_, it)| it.as_ref().is_some_and(|it| it.watched.has_ended()));
+        ended.map(|(at, _)| at).collect()
+    }
+
+    /// Waits for these, which have ended, and kills what they have left.
+    pub(super) fn wait_for(&mut self, these: Vec<usize>) -> Vec<(usize, ExitKind)> {
         let mut ended = vec![];
-        for at in 0..self.running.len() {
-            let running = self.running[at].take_if(|it| it.watched.has_ended());
-            let Some(mut running) = running else {
+        for at in these {
+            let Some(mut running) = self.running[at].take() else {
                 continue;
             };
             // Before it is waited for: until then the number of its group is not used again.

@@ -57,13 +57,9 @@ impl CleanUp {
     }
 
     /// Cleans up in a launcher that has lost its guardian.
-    pub(super) fn run_alone(&self) {
-        let group = self.name.as_deref().and_then(ControlGroup::leave);
-        let alone = Self {
-            group,
-            ..self.clone()
-        };
-        alone.run();
+    pub(super) fn run_alone(mut self) {
+        self.group = self.name.as_deref().and_then(ControlGroup::leave);
+        self.run();
     }
 
     fn command(&self, what: &str, words: &[String]) -> Result<(), String> {

@@ -141,7 +141,9 @@ fn begin(plan: &GuardPlan, begun: CleanUp, launcher: u32, warn: &mut dyn FnMut(&
     }
     let mut clean_up = CleanUp { group, ..begun };
     if plan.before.is_empty() && plan.after.is_empty() {
-        clean_up.files = Some((plan.manifest.clone(), plan.anchor.clone()));
+        let manifest = plan.manifest.canonicalize();
+        let manifest = manifest.unwrap_or(plan.manifest.clone());
+        clean_up.files = Some((manifest, plan.anchor.clone()));
     } else {
         clean_up.safe_state.before.clone_from(&plan.before);
         clean_up.safe_state.after.clone_from(&plan.after);

@@ -112,6 +112,7 @@ fn act(verb: &str, object: &str) -> io::Result<()> {
             expect(std::hint::black_box(bytes).last() == Some(&1))
         }
         "share" => share(number()?),
+        "join-group-of-parent" => join_group_of_parent(),
         "steal-control" => steal_control(object),
         "leave-child" => leave_child(object),
         other => Err(io::Error::other(format!("unknown step {other}"))),
@@ -178,6 +179,13 @@ fn share(megabytes: u64) -> io::Result<()> {
     let memory = rustix::fs::memfd_create("shared", rustix::fs::MemfdFlags::CLOEXEC)?;
     let mut memory = fs::File::from(memory);
     (0..megabytes).try_for_each(|_| memory.write_all(&[1; 1 << 20]))
+}
+
+/// Joins the process group of the launcher.
+fn join_group_of_parent() -> io::Result<()> {
+    let parent = rustix::process::getppid();
+    let group = rustix::process::getpgid(parent)?;
+    Ok(rustix::process::setpgid(None, Some(group))?)
 }
 
 /// Asks for a run target by the socket of the process whose id is in this file.

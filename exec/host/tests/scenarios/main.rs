@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)]
 
 mod actor;
+mod hostile;
 mod more;
 mod rig;
 mod score;
@@ -18,10 +19,12 @@ fn main() -> ExitCode {
     match words.split_first() {
         Some((mode, rest)) if mode == "actor" => return actor::run(rest),
         Some((mode, rest)) if mode == "guardian" => return rig::guardian(rest),
+        Some((mode, rest)) if mode == "flood" => hostile::flood(&rest[0]),
         Some((mode, rest)) if mode == "launcher" => return rig::launcher(rest),
         _ => {}
     }
     let all = score::ALL.iter().chain(more::ALL).chain(unrecoverable::ALL);
+    let all = all.chain(hostile::ALL);
     let trials = all.map(|(name, test)| {
         Trial::test(*name, || {
             test();

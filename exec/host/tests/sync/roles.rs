@@ -13,6 +13,8 @@ use tandem_exec::message::{Activation, ClientId, SyncRequest};
 use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace};
 use tandem_golden::{Functions, instant};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS};
+use tandem_shm::Shape;
+use tandem_shm::bare::newest_writer;
 use tandem_shm::newest::Writer;
 
 pub(crate) const ROLE: &str = "--role";
@@ -245,7 +247,8 @@ fn flip_frame(words: &mut [u32], at: tandem_board::Instant) {
 fn lie(place: SyncPlace, id: ClientId) {
     let mut client = SyncClient::attach(place, id).unwrap();
     let honest = client.client().request(0);
-    let mut mailbox: Writer<'_, [u32; 8]> = client.hostile();
+    let words = place.request_words(id);
+    let mut mailbox: Writer<'_, [u32; 8]> = newest_writer(words, Shape::new(4, 8)).unwrap();
     tell("ready");
     let mut seed = tandem_exec::client::Random::new(1);
     for round in 0_u32.. {
