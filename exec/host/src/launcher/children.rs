@@ -151,9 +151,8 @@ impl Children {
     }
 
     pub(super) fn have_ended(&self) -> Vec<usize> {
-        let running = self.running.iter().enumerate();
-        let ended = running.filter(|(_, it)| it.as_ref().is_some_and(|it| it.watched.has_ended()));
-        ended.map(|(at, _)| at).collect()
+        let has_ended = |at: &usize| self.running[*at].iter().any(|it| it.watched.has_ended());
+        (0..self.running.len()).filter(has_ended).collect()
     }
 
     /// Waits for these, which have ended, and kills what they have left.
