@@ -131,3 +131,12 @@ fn what_is_no_text_is_refused() {
     ));
     assert!(matches!(Manifest::read(b"["), Err(ManifestError::Toml(_))));
 }
+
+#[test]
+fn the_manifest_of_the_docs_is_right() {
+    let page = include_str!("../../../../docs/execution.md");
+    let example = page.split("```toml\n").nth(1).unwrap();
+    let example = Manifest::read(example.split("```").next().unwrap().as_bytes()).unwrap();
+    assert_eq!(example.processes.len(), 3);
+    assert_eq!(example.fallback(), example.target_named("limp-home"));
+}
