@@ -1,6 +1,7 @@
-//! Builds what is in C: FreeRTOS with its own POSIX port, a peer, and the library that takes the
-//! samples of another peer, ddsperf. Records the commit,
-//! the compiler and the flags, because a result must name them.
+//! Builds what is in C, and records the commit, the compiler and the flags of this build.
+//!
+//! In C are FreeRTOS with its own POSIX port, a peer; the library that takes the samples of another
+//! peer, ddsperf; and the program that supervisors start.
 
 use std::env;
 use std::error::Error;
@@ -46,9 +47,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     note_build()?;
     let ours = PathBuf::from("src/peers/freertos_posix");
     let samples = "src/peers/ddsperf_samples.c";
+    let ready = "src/peers/ready.c";
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-changed={}", ours.display());
     println!("cargo::rerun-if-changed={samples}");
+    println!("cargo::rerun-if-changed={ready}");
     // Build the peer from the same kernel sources as tandem-rtos.
     let kernel = PathBuf::from(env::var("DEP_TANDEM_FREERTOS_KERNEL")?);
     let port = kernel.join("portable/ThirdParty/GCC/Posix");
@@ -69,5 +72,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut command = compiler.to_command();
     command.args(["-w", "-shared", "-fPIC", "-o"]);
     command.arg(out.join("ddsperf-samples.so")).arg(samples);
+    run(command)?;
+    let mut command = compiler.to_command();
+    command.args(["-w", "-D_GNU_SOURCE", "-o"]);
+    command.arg(out.join("ready")).arg(ready);
     run(command)
 }

@@ -1,5 +1,6 @@
 //! All cases by name. A group that has a floor lists it first.
 
+use crate::exec::{self, Supervisor, skew, worker_pool as pool};
 use crate::harness::{Batch, BatchPlan};
 use crate::peers::iceoryx2::Settings;
 use crate::peers::mutex::Death;
@@ -33,6 +34,9 @@ pub enum Comparison {
     Topics,
     /// FreeRTOS on the host: lateness of the tick, and switches between tasks.
     Rtos,
+    /// Processes under a supervisor: ten from start to ready, restarts; the skew of activations;
+    /// the worker pool.
+    Exec,
     /// Pauses caused by the machine.
     Noise,
 }
@@ -239,6 +243,40 @@ const CASES: &[Cases] = &[
     (Comparison::Rtos, 2000, &[
         ("switch-posix-port", "the same, FreeRTOS's POSIX port",
             |p| rtos::posix_port(p, "switch")),
+    ]),
+    // Each start takes 20 to 300 ms.
+    (Comparison::Exec, 3, &[
+        ("ready-10", "tandem exec run: from its start to ten processes ready",
+            |p| exec::ready_10(p, Supervisor::Tandem)),
+        ("ready-10-s6", "s6-svscan, s6-svwait -U", |p| exec::ready_10(p, Supervisor::S6)),
+        ("ready-10-runit", "runsvdir; the processes tell when they are ready",
+            |p| exec::ready_10(p, Supervisor::Runit)),
+        ("ready-10-systemd", "systemd --user in namespaces of its own, until STATUS=Ready.",
+            |p| exec::ready_10(p, Supervisor::Systemd)),
+    ]),
+    // Each batch first lets the processes run for a second.
+    (Comparison::Exec, 10, &[
+        ("restart", "tandem exec run: from SIGKILL to ready again",
+            |p| exec::restart(p, Supervisor::Tandem)),
+        ("restart-s6", "the same, s6", |p| exec::restart(p, Supervisor::S6)),
+        ("restart-runit", "the same, runit", |p| exec::restart(p, Supervisor::Runit)),
+        ("restart-systemd", "the same, systemd --user, RestartSec=0",
+            |p| exec::restart(p, Supervisor::Systemd)),
+    ]),
+    // Each cycle takes a millisecond.
+    (Comparison::Exec, 100, &[
+        ("skew", "two deterministic clients, 1 kHz, sleeping", |p| skew::clients(p, 0)),
+        ("skew-spin", "the same, the last 100 us spinning", 
+            |p| skew::clients(p, skew::SPIN_NS)),
+        ("skew-floor", "two processes in clock_nanosleep to the same instants, 1 kHz",
+            |p| skew::floor(p, 0)),
+        ("skew-spin-floor", "the same, the last 100 us spinning",
+            |p| skew::floor(p, skew::SPIN_NS)),
+    ]),
+    (Comparison::Exec, 50, &[
+        ("pool", "512 elements of 2 us each by the worker pool, two workers", pool::tandem),
+        ("pool-sequential", "512 elements of 2 us each, one after the other", pool::sequential),
+        ("pool-rayon", "the same by rayon, two workers", pool::rayon),
     ]),
     (Comparison::Noise, 400, &[
         ("cpu0", "near CPU: longest pause of a spin in each 100 us", |p| noise::gaps(p, p.cpus[0])),

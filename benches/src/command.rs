@@ -2,6 +2,7 @@
 
 use crate::cases::{self, Candidate, Comparison};
 use crate::compare;
+use crate::exec;
 use crate::load::Load;
 use crate::measure::{self, Measurement};
 use crate::page;
@@ -89,6 +90,13 @@ pub struct BenchArgs {
 pub enum BenchCommand {
     /// Say what changed between two runs, beyond noise
     Compare(CompareArgs),
+    /// Two redundant clients at 1 kHz: exits with 1 if a stall of the machine does not explain an
+    /// overrun
+    Overruns {
+        /// How long
+        #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u16).range(1..=3600))]
+        seconds: u16,
+    },
 }
 
 /// Arguments of `tandem bench compare`.
@@ -150,6 +158,7 @@ pub type Printed = (String, Option<(String, u8)>);
 pub fn bench(args: &BenchArgs) -> Result<Printed, NoFigures> {
     match &args.command {
         Some(BenchCommand::Compare(args)) => compare(args),
+        Some(BenchCommand::Overruns { seconds }) => overruns(*seconds),
         None => run(args),
     }
 }
@@ -267,6 +276,17 @@ fn measure(
     );
     bar.finish_and_clear();
     all
+}
+
+/// Fails if an overrun of activations is not explained.
+fn overruns(seconds: u16) -> Result<Printed, NoFigures> {
+    let cpus = ends(&[]).map_err(usage)?;
+    let isolation = isolation::enter()?;
+    let measured = exec::overruns::run(isolation.run(), cpus, seconds);
+    isolation.wipe();
+    let (shown, unexplained) = measured?;
+    let why = format!("overruns without a stall of the machine: {unexplained}");
+    Ok((shown, (unexplained > 0.0).then_some((why, 1))))
 }
 
 /// Steps of the progress bar.

@@ -11,6 +11,7 @@ pub mod cases;
 mod columns;
 pub mod command;
 mod compare;
+mod exec;
 mod floor;
 mod hardware;
 pub mod harness;

@@ -37,6 +37,8 @@ const SYSTEM: [&str; 7] = [
     "seqlock",
     "unix-socket",
 ];
+/// Ends of the names of cases that have a peer each, such as `tick-posix-port` beside `tick`.
+const PEERS: [&str; 5] = ["-posix-port", "-s6", "-runit", "-systemd", "-rayon"];
 const THREADS: [&str; 2] = ["rtrb", "triple-buffer"];
 
 impl Provider {
@@ -46,7 +48,7 @@ impl Provider {
         match row.case() {
             // Some cases have their own floor; in `rtos` they also have a peer: `tick-posix-port`.
             case if case == "floor" || case.ends_with("-floor") => Self::Floor,
-            case if case.ends_with("-posix-port") || begins(&SYSTEM) => Self::System,
+            case if PEERS.iter().any(|end| case.ends_with(end)) || begins(&SYSTEM) => Self::System,
             _ if begins(&THREADS) => Self::Threads,
             _ if begins(&["iceoryx2"]) => Self::Iceoryx2,
             _ => Self::Tandem,
@@ -120,6 +122,9 @@ mod tests {
             ("rtos/tick-floor", Provider::Floor),
             ("rtos/tick", Provider::Tandem),
             ("rtos/tick-posix-port", Provider::System),
+            ("exec/ready-10", Provider::Tandem),
+            ("exec/ready-10-s6", Provider::System),
+            ("exec/skew-floor", Provider::Floor),
         ] {
             assert_eq!(Provider::of(&row(name, 80.0)), provider, "{name}");
         }

@@ -135,6 +135,20 @@ fn a_measurement_under_sched_fifo_ends() {
     assert_eq!(results["skipped"], Value::Array(Vec::new()));
 }
 
+/// E-1: an overrun is explained by a stall of the machine, or the command fails.
+#[test]
+fn overruns_are_explained_or_the_command_fails() {
+    let output = Fixture::new().output(&["overruns", "--seconds", "2"]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    let line = String::from_utf8(output.stdout).unwrap();
+    let numbers: Vec<u32> = line.split(' ').filter_map(|it| it.parse().ok()).collect();
+    let [activations, overruns, _, bare] = numbers[..] else {
+        panic!("{line} {said}");
+    };
+    assert!(activations > 0 && bare <= overruns, "{line}");
+    assert_eq!(output.status.code(), Some(i32::from(bare > 0)), "{said}");
+}
+
 /// An error is reported at once, with exit status 2, and leaves no files behind.
 #[test]
 fn a_benchmark_that_cannot_be_is_refused_at_once() {

@@ -1,5 +1,6 @@
 //! The arguments of the `tandem` command.
 
+mod exec;
 mod timing;
 
 use std::net::Ipv4Addr;
@@ -16,6 +17,7 @@ use tandem_boot_host::udp_bus::{GROUP, PORT};
 use tandem_vehicle::sensors::{NoSensorFault, NoSensorTiming};
 use tandem_vehicle::{SensorFault, SensorTiming};
 
+pub use exec::{ExecArgs, ExecCommand, ExecRunArgs, ExecTargetArgs, ManifestArgs};
 pub use timing::{GrandmasterArgs, GrandmasterScale, TimeArgs, TimeBoard};
 
 const EXAMPLES: &str = "\
@@ -114,6 +116,8 @@ pub enum Command {
     RtosDemo(PassedArguments),
     /// Show the topics between the controller and the SoC, or command as the SoC does
     Topics(TopicsArgs),
+    /// Run the processes of a manifest: checked, supervised, restarted, ended in order
+    Exec(ExecArgs),
     /// Show the vehicle's time: whom each clock follows, its offset, rate and status
     Time(TimeArgs),
     /// Download the smallest application over CAN to an empty controller, start it, and show a

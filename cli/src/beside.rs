@@ -3,7 +3,7 @@
 
 use std::ffi::{OsStr, OsString};
 use std::os::unix::process::CommandExt as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -64,8 +64,7 @@ pub struct PassedArguments {
 /// # Errors
 /// [`Failure::Usage`] if the program is missing.
 pub fn become_program(program: Program, arguments: &[OsString]) -> Result<(), Failure> {
-    let this = std::env::current_exe().context("where this program is");
-    let folder = this.map_err(Failure::Usage)?.with_file_name("");
+    let folder = this_file().map_err(Failure::Usage)?.with_file_name("");
     let path = folder.join(program.name());
     let is_there = path.exists();
     match build(program, &folder) {
@@ -77,6 +76,16 @@ pub fn become_program(program: Program, arguments: &[OsString]) -> Result<(), Fa
     Err(Failure::Usage(anyhow!(
         "{shown}: {error}; build it: cargo build --release -p {package}"
     )))
+}
+
+/// Returns the path of this program's file. If the program runs from a sealed copy in memory, that
+/// is the path by which it was started.
+fn this_file() -> anyhow::Result<PathBuf> {
+    let this = std::env::current_exe().context("where this program is")?;
+    match this.as_os_str().as_encoded_bytes().starts_with(b"/memfd:") {
+        true => Ok(std::env::args_os().next().context("its name")?.into()),
+        false => Ok(this),
+    }
 }
 
 fn build(program: Program, folder: &Path) -> anyhow::Result<()> {

@@ -74,7 +74,7 @@ impl GrandmasterProcess {
             leaves.clone().into(),
         ];
         words.extend(realtime.then(|| "--realtime".into()));
-        let (process, pid) = Companion::start(KIND, words)?;
+        let (process, pid) = Companion::start(KIND, &leaves, words)?;
         Ok((Self { leaves, process }, pid))
     }
 
@@ -112,7 +112,7 @@ fn give<S: Scale>(args: &GrandmasterArgs, place: UdpPlace, ahead_ns: u64) -> Res
         Some(leaves) => {
             let record = serde_json::to_vec(&GrandmasterRecord { ahead_ns })?;
             fs::write(leaves, record).with_context(|| leaves.display().to_string())?;
-            companion::begin(args.realtime)
+            companion::begin(args.realtime)?
         }
         None => {
             // A message that waits between its stamp and its sending has a wrong stamp.

@@ -14,6 +14,8 @@ mod companion;
 mod control_core;
 mod core_process;
 pub mod dflash;
+pub mod exec;
+pub mod exec_sign;
 pub mod failure;
 pub mod files;
 mod forging;

@@ -10,7 +10,8 @@ use tandem::beside::{Program, become_program};
 use tandem::board_kind::{BoardKind, DemoBoard};
 use tandem::failure::Failure;
 use tandem::{
-    boot_demo, clock_view, dflash, grandmaster, injection, print, ps, publish, run, soc, topics,
+    boot_demo, clock_view, dflash, exec, grandmaster, injection, print, ps, publish, run, soc,
+    topics,
 };
 
 fn main() -> ExitCode {
@@ -64,6 +65,7 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         Command::Power(args) => injection::power(&args).map_err(Failure::Run),
         Command::Fault(args) => injection::fault(&args).map_err(Failure::Run),
         Command::Topics(args) => topics::run(&args),
+        Command::Exec(args) => exec::run(&args),
         Command::Time(args) if args.board == TimeBoard::Sim => become_program(Program::Lab, words),
         Command::Time(args) => clock_view::run(&args),
         Command::Dflash(args) => {

@@ -11,7 +11,7 @@ use std::os::fd::{AsFd as _, OwnedFd};
 use std::os::unix::net::UnixDatagram;
 use std::os::unix::process::CommandExt as _;
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -82,7 +82,7 @@ impl Publishing {
     pub(crate) fn prepare() -> Option<Self> {
         let (to, from) = UnixDatagram::pair().ok()?;
         to.set_nonblocking(true).ok()?;
-        let process = Command::new("/proc/self/exe")
+        let process = tandem_board_host::this_program()
             .arg0("tandem")
             .arg("publish")
             .stdin(Stdio::from(OwnedFd::from(from)))

@@ -632,7 +632,7 @@ fn start_soc(
 
 /// Returns the command that starts this program again, even if its file has been replaced.
 pub fn this_program(args: &ProcessArgs) -> Command {
-    let mut command = Command::new("/proc/self/exe");
+    let mut command = tandem_board_host::this_program();
     command.arg0("tandem").args(args.to_argv());
     // No process of a run may keep the caller's pipes open after `tandem run` has ended.
     command.stdin(Stdio::null()).stdout(Stdio::null());

@@ -211,7 +211,7 @@ impl SocProcess {
             times.into(),
         ];
         words.extend(realtime.then(|| "--realtime".into()));
-        let (process, pid) = Companion::start(KIND, words)?;
+        let (process, pid) = Companion::start(KIND, &leaves, words)?;
         Ok((Self { leaves, process }, pid))
     }
 
@@ -227,13 +227,13 @@ impl SocProcess {
     }
 }
 
-/// Runs the SoC's process, until its standard input closes.
+/// Runs the SoC's process, until SIGTERM.
 ///
 /// # Errors
 /// [`Failure::Usage`] if no participant can be opened; [`Failure::Run`] if its sockets or its file
 /// fail.
 pub fn run(args: &SocArgs) -> Result<(), Failure> {
-    let is_over = companion::begin(args.realtime);
+    let is_over = companion::begin(args.realtime)?;
     let mut soc = topics::open_soc(args.place, None, Approach::new(args.park))?;
     let mut time = SocClock::open(args)?;
     let mut phases = Phases::default();

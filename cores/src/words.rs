@@ -220,6 +220,7 @@ impl Part for Object {
 impl Part for Scene {
     const WORDS: usize = 2
         + 2
+        + <Option<Instant>>::WORDS
         + 1
         + Ego::WORDS
         + 1
@@ -234,6 +235,7 @@ impl Part for Scene {
             .iter()
             .for_each(|at| Instant::put(at, put));
         put(scene.cycle);
+        Option::put(&scene.moment, put);
         Ego::put(&scene.ego, put);
         put(u32::from(scene.lanes.is_some()) | u32::from(scene.missing) << 8);
         match &scene.lanes {
@@ -249,6 +251,7 @@ impl Part for Scene {
 
     fn take(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
         let (at, measured, cycle) = (Instant::take(take)?, Instant::take(take)?, take());
+        let moment = <Option<Instant> as Part>::take(take)?;
         let ego = Ego::take(take)?;
         let seen_and_missing = take();
         let seen = bool::take(&mut || seen_and_missing & 0xFF)?;
@@ -260,6 +263,7 @@ impl Part for Scene {
         let route = (route_and_gap & 0xFF) as usize;
         Ok(Self {
             at,
+            moment,
             measured,
             cycle,
             missing,
@@ -334,7 +338,7 @@ impl VehicleTime {
     #[must_use]
     pub fn clock(&self, now: Instant) -> Option<GlobalClock> {
         let conversion = self.0?;
-        let us = (conversion.at(now).as_ns() / 1_000) as u32;
+        let us = conversion.at(now).as_ns() / 1_000;
         GlobalClock::new(now, us, conversion.error_at(now))
     }
 }
@@ -393,6 +397,7 @@ mod tests {
         };
         Scene {
             at: Instant::from_ns(0x1_2345_6789),
+            moment: Some(Instant::from_ns(0x7_2345_6789)),
             measured: Instant::from_ns(0x1_2300_0000),
             cycle: 99,
             missing: 0,

@@ -243,6 +243,7 @@ fn lanes() -> Lanes {
 fn scene(ms: u64, speed: f32, objects: &[Object]) -> Scene {
     Scene {
         at: at_ms(ms),
+        moment: None,
         measured: at_ms(ms),
         cycle: (ms / 50) as u32,
         missing: 0,
@@ -655,7 +656,7 @@ fn lanes_that_are_older_than_a_list_are_moved_with_the_vehicle() {
             perception.on_message(at_ms(ms), &Message::EgoMotion(motion));
         }
         let (global_us, state) = (7_000_000, TimeStateCode::Global);
-        perception.set_global(GlobalClock::new(now, global_us, Duration::ZERO));
+        perception.set_global(GlobalClock::new(now, global_us.into(), Duration::ZERO));
         let header = SensorHeader {
             time_state: state,
             measured_at: global_us,

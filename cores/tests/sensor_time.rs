@@ -161,7 +161,7 @@ impl Bench {
             });
             let conversion = self.base.conversion().unwrap();
             let us = ((conversion.at(now).as_ns() / 1_000) as u32).wrapping_add_signed(self.lie_us);
-            let global = GlobalClock::new(now, us, conversion.error_at(now));
+            let global = GlobalClock::new(now, us.into(), conversion.error_at(now));
             assert!(global.is_some());
             self.perception.set_global(global);
             for message in &heard {

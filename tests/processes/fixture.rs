@@ -77,11 +77,15 @@ impl Fixture {
 
     /// Starts `tandem run --json` with additional arguments.
     pub(crate) fn run(&self, args: &[&str]) -> Run {
+        self.run_by(self.command(&[]), args)
+    }
+
+    /// Starts `tandem run --json` by a command that starts `tandem`.
+    pub(crate) fn run_by(&self, mut command: Command, args: &[&str]) -> Run {
         let number = fs::read_dir(self.folder()).unwrap().count();
         let stdout = self.folder().join(format!("{number}.stdout"));
         let stderr = self.folder().join(format!("{number}.stderr"));
-        let mut command = self.command(&["run", "--json"]);
-        command.args(args);
+        command.args(["run", "--json"]).args(args);
         command
             .stdout(File::create(&stdout).unwrap())
             .stderr(File::create(&stderr).unwrap());

@@ -17,6 +17,7 @@ mod observers;
 mod parking;
 #[path = "../../topics/host/tests/stand_in/place.rs"]
 mod place;
+mod sealed;
 mod stalls;
 mod startup;
 mod time;

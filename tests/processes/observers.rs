@@ -152,7 +152,12 @@ fn publisher_of(run: &Run) -> Option<i32> {
 /// Returns the process that `tandem run` has started with this command.
 pub(crate) fn child_of(run: &Run, command: &str) -> Option<i32> {
     let pid = run.launcher_pid();
-    let children = std::fs::read_to_string(format!("/proc/{pid}/task/{pid}/children")).ok()?;
+    // The launcher of the SoC is a thread.
+    let tasks = std::fs::read_dir(format!("/proc/{pid}/task"))
+        .ok()?
+        .flatten();
+    let children = tasks.filter_map(|it| std::fs::read_to_string(it.path().join("children")).ok());
+    let children: String = children.map(|it| it + " ").collect();
     let is_it = |pid: &&str| {
         let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
         line.split('\0').nth(1) == Some(command)

@@ -300,6 +300,34 @@ enum Campaign {
         #[arg(long, value_name = "FILE")]
         json: Option<PathBuf>,
     },
+    /// Kill, freeze and end the processes of a platform at random, also its launcher, its guardian,
+    /// redundant clients and their masters. Fails if something is left behind, if an activation is
+    /// wrong, or if outputs differ
+    Launch {
+        /// How many kills
+        #[arg(long, default_value_t = 10_000)]
+        count: u64,
+        /// Repeats the choices of an earlier campaign [default: a new one]
+        #[arg(long)]
+        seed: Option<u64>,
+        /// Write {kills, violations} to this file
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
+    /// Two redundant clients at 1 kHz. Fails if an overrun is not explained by a stall of the
+    /// machine
+    Activations {
+        /// How long, in seconds
+        #[arg(long, default_value_t = 60)]
+        seconds: u32,
+    },
+    /// Damage each part of a signed platform, and replace each part between check and start.
+    /// Fails if a process runs what was not signed. Prints what a check costs
+    Tamper {
+        /// Write {cases, accepted} to this file
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
     /// Compare the tick of FreeRTOS, and the periods of three tasks, with the clock
     RtosDrift {
         /// How long, in seconds
@@ -474,6 +502,40 @@ fn start(root: &Path, campaign: Campaign) -> Result<()> {
                 let json =
                     std::path::absolute(&json).with_context(|| json.display().to_string())?;
                 command.env("TANDEM_TIME_JSON", json);
+            }
+            command
+        }
+        Campaign::Launch { count, seed, json } => {
+            let name = "random_kills_leave_nothing_behind";
+            let mut command = test(
+                "tandem-exec-host",
+                "kills",
+                name,
+                &[("TANDEM_KILLS", count)],
+            );
+            command.envs(seed.map(|seed| ("TANDEM_KILLS_SEED", seed.to_string())));
+            if let Some(json) = json {
+                // The test runs in the folder of its package.
+                let json =
+                    std::path::absolute(&json).with_context(|| json.display().to_string())?;
+                command.env("TANDEM_KILLS_JSON", json);
+            }
+            command
+        }
+        Campaign::Activations { seconds } => {
+            let mut command = cargo(root, &["run", "--release", "-p", "tandem-benches", "--"]);
+            command.args(["overruns", "--seconds", &seconds.to_string()]);
+            command
+        }
+        Campaign::Tamper { json } => {
+            let name = "every_changed_part_is_refused";
+            let mut command = test("tandem-exec-host", "tamper", name, &[]);
+            command.arg("--ignored");
+            if let Some(json) = json {
+                // The test runs in the folder of its package.
+                let json =
+                    std::path::absolute(&json).with_context(|| json.display().to_string())?;
+                command.env("TANDEM_TAMPER_JSON", json);
             }
             command
         }

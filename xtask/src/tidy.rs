@@ -21,10 +21,12 @@ topics: board bus shm
 topics-host: board board-udp bus shm topics
 timesync: board
 timesync-host: board timesync
+exec: board shm
+exec-host: board board-host boot exec shm
 vehicle: board bus timesync
 page:
 board-host: board board-udp peripherals shm
-benches: board board-host board-udp page rtos shm topics topics-host two-cores
+benches: board board-host board-udp exec exec-host page rtos shm topics topics-host two-cores
 two-cores: shm
 golden: board bus cores peripherals
 record: board bus cores redundancy timesync vehicle

@@ -5,11 +5,11 @@ use core::ops::{Add, AddAssign, Sub};
 /// A point on a system's monotonic clock, in nanoseconds since an origin that only the board knows.
 ///
 /// A plain 64-bit number, not an atomic: cores exchange it as two words.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Instant(u64);
 
 /// A span of time in nanoseconds; never negative.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Duration(u64);
 
 impl Instant {
@@ -28,6 +28,12 @@ impl Instant {
     #[must_use]
     pub const fn as_ns(self) -> u64 {
         self.0
+    }
+
+    /// Returns the instant `ns` nanoseconds later, or earlier if negative; saturates.
+    #[must_use]
+    pub const fn moved(self, ns: i64) -> Self {
+        Self(self.0.saturating_add_signed(ns))
     }
 
     /// Returns the span since `earlier`; zero if `earlier` is later.

@@ -1,5 +1,9 @@
 //! The clock of the host board: CLOCK_MONOTONIC, which all processes of the machine share.
 
+use std::io;
+use std::os::fd::BorrowedFd;
+
+use rustix::event::{PollFd, PollFlags, poll};
 use rustix::io::Errno;
 use rustix::thread::{ClockId, clock_nanosleep_absolute};
 use rustix::time::{Timespec, clock_gettime};
@@ -32,8 +36,36 @@ pub fn sleep_until(deadline: Instant) {
     while clock_nanosleep_absolute(ClockId::Monotonic, &at) == Err(Errno::INTR) {}
 }
 
+/// Waits until one of these descriptors is readable or closed by its other end, but no longer than
+/// this. Returns whether one is; `false` also after a signal.
+///
+/// # Errors
+/// If the kernel has no memory for it, or a limit permits no poll of that many descriptors.
+pub fn wait_for<'a>(
+    fds: impl IntoIterator<Item = BorrowedFd<'a>>,
+    span: Duration,
+) -> io::Result<bool> {
+    let fds = fds.into_iter();
+    let mut fds: Vec<_> = fds
+        .map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN))
+        .collect();
+    match poll(&mut fds, Some(&timespec(span.as_ns()))) {
+        Err(Errno::INTR) => Ok(false),
+        ready => Ok(ready? > 0),
+    }
+}
+
+/// Waits until this is so, but no longer than this. Looks every 2 ms.
+pub fn wait_until(within: Duration, mut is_so: impl FnMut() -> bool) {
+    let deadline = now() + within;
+    while !is_so() && now() < deadline {
+        sleep_until(now() + Duration::from_ms(2));
+    }
+}
+
 /// Converts nanoseconds for the kernel; cuts off values that are longer than it accepts.
-pub(crate) fn timespec(ns: u64) -> Timespec {
+#[must_use]
+pub fn timespec(ns: u64) -> Timespec {
     const LIMIT_S: u64 = i32::MAX as u64;
     let seconds = (ns / 1_000_000_000).min(LIMIT_S);
     Timespec {

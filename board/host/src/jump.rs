@@ -12,11 +12,14 @@ use rustix::fs::{MemfdFlags, memfd_create};
 
 use crate::args::{APPLICATION, CoreArgs, ProcessArgs};
 use crate::backplane::{Backplane, BackplaneError};
+use crate::this_program::this_program;
+
+const SCRIPT: &str = "#!/proc/self/exe ";
 
 /// Returns the content of a slot that starts an application of the running executable.
 #[must_use]
 pub fn script(application: &str) -> Vec<u8> {
-    format!("#!/proc/self/exe {APPLICATION}{application}\n").into_bytes()
+    format!("{SCRIPT}{APPLICATION}{application}\n").into_bytes()
 }
 
 /// Replaces the program of this process. The process keeps its id and its priority, and still dies
@@ -29,12 +32,27 @@ pub fn jump(image: &[u8], args: &CoreArgs) -> io::Error {
         file.write_all(image)?;
         let path = format!("/proc/self/fd/{}", file.as_raw_fd());
         let argv = ProcessArgs::Core(args.clone()).to_argv();
-        Err(Command::new(path).args(argv).exec())
+        // The kernel would start the loader of a program that runs from sealed copies.
+        let mut again = this_program();
+        let mut command = match word_of(image) {
+            Some(word) if again.get_args().len() > 0 => {
+                again.args([word, &path]);
+                again
+            }
+            _ => Command::new(path),
+        };
+        Err(command.args(argv).exec())
     };
     match execute() {
         Ok(never) => match never {},
         Err(error) => error,
     }
+}
+
+/// Returns the word that a script of [`script`] gives to the running executable.
+fn word_of(image: &[u8]) -> Option<&str> {
+    let line = image.split(|byte| *byte == b'\n').next()?;
+    std::str::from_utf8(line).ok()?.strip_prefix(SCRIPT)
 }
 
 /// Publishes the slot to which core 0 is about to jump; the other cores of its system will follow.

@@ -11,7 +11,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{Pid, Signal, WaitOptions, set_child_subreaper, wait};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tandem_board::SystemId;
@@ -317,13 +316,9 @@ impl Launcher {
             .children
             .get(2)
             .and_then(|child| Watched::new(child.id()));
-        let vehicle = vehicle
-            .iter()
-            .map(|watched| PollFd::new(watched.fd(), PollFlags::IN));
-        let mut fds: Vec<_> = vehicle.chain([self.pokes.fd()]).collect();
-        // An interrupted poll needs no handling: the loop checks everything anyway.
-        let _ = poll(&mut fds, Some(&clock::timespec(LOOK_AGAIN_IN_RUN.as_ns())));
-        drop(fds);
+        let fds = vehicle.iter().map(Watched::fd).chain([self.pokes.fd()]);
+        // A failure needs no handling: the loop checks everything anyway.
+        let _ = clock::wait_for(fds, LOOK_AGAIN_IN_RUN);
         self.pokes.take();
     }
 

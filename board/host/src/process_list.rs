@@ -1,14 +1,13 @@
 //! Finds the processes of the runs on this machine in `/proc`.
 
 use core::fmt;
-use std::ffi::OsString;
 use std::fs;
-use std::os::unix::ffi::OsStringExt;
 
 use tandem_board::{CoreId, Generation, RoleLamp, SystemId};
 
 use crate::args::ProcessArgs;
 use crate::name::RunName;
+use crate::this_program::{command_line, loader_words};
 
 /// Kind of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,9 +66,7 @@ pub const fn role_name(lamp: RoleLamp) -> &'static str {
 /// waited for are left out.
 #[must_use]
 pub fn list() -> Vec<Process> {
-    let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
-    let pids = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-    let mut found: Vec<Process> = pids.filter_map(look_at).collect();
+    let mut found: Vec<Process> = pids().filter_map(look_at).collect();
     for at in 0..found.len() {
         found[at].role = found[at]
             .system
@@ -138,17 +135,11 @@ pub(crate) fn process_of(name: Option<&str>) -> Result<Process, RunError> {
 }
 
 fn look_at(pid: u32) -> Option<Process> {
-    let argv = fs::read(format!("/proc/{pid}/cmdline")).ok()?;
-    let argv = argv
-        .strip_suffix(b"\0")
-        .unwrap_or(&argv)
-        .split(|byte| *byte == 0);
-    let argv = argv.skip(1).map(|arg| OsString::from_vec(arg.to_vec()));
+    let argv = command_line(&pid.to_string())?;
+    let own = loader_words(&argv).max(1);
+    let argv = argv.into_iter().skip(own);
     let args = ProcessArgs::parse(argv)?.ok()?;
-    let (state, cpu) = state_and_cpu(&fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)?;
-    if state == "Z" || state == "X" {
-        return None;
-    }
+    let stat = Stat::read(pid).filter(|stat| !stat.has_ended)?;
     let (kind, system) = match &args {
         ProcessArgs::Supply(args) => (ProcessKind::Supply, Some(args.system)),
         ProcessArgs::Core(args) => {
@@ -163,17 +154,41 @@ fn look_at(pid: u32) -> Option<Process> {
         kind,
         system,
         role: None,
-        cpu,
+        cpu: stat.cpu,
     })
 }
 
-/// Parses fields 3 and 39 of the line of `/proc/PID/stat` (proc(5)). Field 2, the name, may contain
-/// any character, so fields are counted from its closing bracket.
-fn state_and_cpu(stat: &str) -> Option<(String, Option<u32>)> {
-    let mut fields = stat.rsplit_once(')')?.1.split_whitespace();
-    let state = fields.next()?.to_owned();
-    let cpu = fields.nth(35).and_then(|cpu| cpu.parse().ok());
-    Some((state, cpu))
+/// Returns the ids of all processes that `/proc` shows.
+pub(crate) fn pids() -> impl Iterator<Item = u32> {
+    let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
+    entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok())
+}
+
+/// What `/proc/PID/stat` says of a process: fields 3, 4, 20 and 39 (proc(5)).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stat {
+    /// All of its threads have ended, not its first one alone. Its parent has not waited for it.
+    pub(crate) has_ended: bool,
+    pub(crate) parent: u32,
+    /// The CPU on which it last ran.
+    cpu: Option<u32>,
+}
+
+impl Stat {
+    pub(crate) fn read(pid: u32) -> Option<Self> {
+        Self::parse(&fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
+    }
+
+    /// Field 2, the name, may hold any character, so fields are counted from its closing bracket.
+    fn parse(line: &str) -> Option<Self> {
+        let mut fields = line.rsplit_once(')')?.1.split_whitespace();
+        let is_zombie = matches!(fields.next()?, "Z" | "X");
+        Some(Self {
+            parent: fields.next()?.parse().ok()?,
+            has_ended: fields.nth(15)?.parse::<u32>().ok()? <= 1 && is_zombie,
+            cpu: fields.nth(18).and_then(|cpu| cpu.parse().ok()),
+        })
+    }
 }
 
 /// Reads the role of a system from the process name of its core 0, for example `A0 master`.
@@ -198,13 +213,18 @@ mod tests {
             .collect::<Vec<_>>()
             .join(" ");
         let line = format!("17 (a) Z) 3 (x) S {tail}\n");
-        assert_eq!(state_and_cpu(&line), Some(("S".to_owned(), Some(39))));
+        let expected = Stat {
+            has_ended: false,
+            parent: 4,
+            cpu: Some(39),
+        };
+        assert_eq!(Stat::parse(&line), Some(expected));
     }
 
     #[test]
     fn a_cut_line_is_no_process() {
-        assert_eq!(state_and_cpu("17 (x"), None);
-        assert_eq!(state_and_cpu("17 (x)"), None);
-        assert_eq!(state_and_cpu("17 (x) R 1 2"), Some(("R".to_owned(), None)));
+        assert_eq!(Stat::parse("17 (x"), None);
+        assert_eq!(Stat::parse("17 (x)"), None);
+        assert_eq!(Stat::parse("17 (x) R 1 2"), None);
     }
 }

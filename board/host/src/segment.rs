@@ -61,13 +61,16 @@ pub enum SegmentError {
 
 /// A mapped segment of `N` words. Dropping it unmaps it; the memory remains until the segment is
 /// removed by name or together with the run.
-pub(crate) struct Segment<const N: usize> {
+pub struct Segment<const N: usize> {
     storage: Storage<Words<N>>,
 }
 
 impl<const N: usize> Segment<N> {
     /// Creates the segment with all words zero, and reserves its pages.
-    pub(crate) fn create(run: &RunName, name: &str) -> Result<Self, SegmentError> {
+    ///
+    /// # Errors
+    /// [`SegmentError`]
+    pub fn create(run: &RunName, name: &str) -> Result<Self, SegmentError> {
         quiet();
         let built = Builder::new(&file(run, name)?)
             .config(&config(run))
@@ -82,7 +85,10 @@ impl<const N: usize> Segment<N> {
     }
 
     /// Maps an existing segment. Does not wait until it exists.
-    pub(crate) fn open(run: &RunName, name: &str) -> Result<Self, SegmentError> {
+    ///
+    /// # Errors
+    /// [`SegmentError`]
+    pub fn open(run: &RunName, name: &str) -> Result<Self, SegmentError> {
         quiet();
         let built = Builder::<Words<N>>::new(&file(run, name)?)
             .config(&config(run))
@@ -98,7 +104,9 @@ impl<const N: usize> Segment<N> {
         }
     }
 
-    pub(crate) fn words(&self) -> &[AtomicU32] {
+    /// Returns the words. Other processes write them: they may hold anything.
+    #[must_use]
+    pub fn words(&self) -> &[AtomicU32] {
         self.storage.get().as_slice()
     }
 }

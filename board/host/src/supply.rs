@@ -12,13 +12,12 @@
 
 use std::ffi::c_int;
 use std::io::{self, Read as _};
-use std::os::fd::OwnedFd;
+use std::os::fd::{AsFd as _, BorrowedFd};
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::ExitStatusExt as _;
 use std::process::{Child, Command};
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::Signal;
 use signal_hook::consts::SIGURG;
 use signal_hook::low_level::pipe;
@@ -75,8 +74,8 @@ impl Pokes {
     }
 
     /// Returns a descriptor that is readable after a poke.
-    pub(crate) fn fd(&self) -> PollFd<'_> {
-        PollFd::new(&self.0, PollFlags::IN)
+    pub(crate) fn fd(&self) -> BorrowedFd<'_> {
+        self.0.as_fd()
     }
 
     /// Discards all pokes that were received so far.
@@ -221,7 +220,7 @@ impl Supply<'_> {
         self.carry_out(change);
         let mut next = now + PERIOD;
         loop {
-            self.sleep(vehicle.fd(), next);
+            self.sleep(vehicle, next);
             // Clear the pokes before reading the registers: a later poke ends the next sleep.
             self.pokes.take();
             let now = clock::now();
@@ -255,18 +254,16 @@ impl Supply<'_> {
     }
 
     /// Sleeps until a process ends, a poke arrives or the next tick is due.
-    fn sleep(&self, vehicle: &OwnedFd, next: Instant) {
+    fn sleep(&self, vehicle: &Watched, next: Instant) {
         let cores = self
             .cores
             .iter()
             .flatten()
             .filter_map(|core| core.watched.as_ref());
-        let fds = cores.chain(&self.peer).map(Watched::fd).chain([vehicle]);
-        let mut fds: Vec<_> = fds.map(|fd| PollFd::new(fd, PollFlags::IN)).collect();
-        fds.push(self.pokes.fd());
-        let left = clock::timespec(next.since(clock::now()).as_ns());
-        // An interrupted poll needs no handling: the registers are read anyway.
-        let _ = poll(&mut fds, Some(&left));
+        let fds = cores.chain(&self.peer).map(Watched::fd);
+        let fds = fds.chain([vehicle.fd(), self.pokes.fd()]);
+        // A failure needs no handling: the registers are read anyway.
+        let _ = clock::wait_for(fds, next.since(clock::now()));
     }
 
     fn look_at_peer(&mut self) {
@@ -515,12 +512,9 @@ mod tests {
     fn a_poke_that_arrives_before_the_sleep_ends_it() {
         let mut pokes = Pokes::receive(&[]).unwrap();
         spawn::signal(std::process::id(), POKE);
-        let is_poked = |pokes: &Pokes, left| {
-            let mut fds = [pokes.fd()];
-            poll(&mut fds, Some(&left)).is_ok_and(|ready| ready > 0)
-        };
-        assert!(is_poked(&pokes, clock::timespec(60_000_000_000)));
+        let is_poked = |pokes: &Pokes, left| clock::wait_for([pokes.fd()], left).unwrap();
+        assert!(is_poked(&pokes, Duration::from_ms(60_000)));
         pokes.take();
-        assert!(!is_poked(&pokes, clock::timespec(0)));
+        assert!(!is_poked(&pokes, Duration::ZERO));
     }
 }

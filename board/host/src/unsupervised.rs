@@ -31,6 +31,12 @@ impl UnsupervisedSystem {
         Ok(Self { run, flash })
     }
 
+    /// Returns the run, for further files that are removed with the place.
+    #[must_use]
+    pub const fn run(&self) -> &RunName {
+        &self.run
+    }
+
     /// Attaches the calling process as a core in this incarnation. Only once per process.
     ///
     /// # Errors

@@ -314,6 +314,7 @@ mod tests {
         };
         let scene = Scene {
             at: at(1_000),
+            moment: None,
             measured: at(990),
             cycle: 9,
             missing: 0,

@@ -292,6 +292,7 @@ mod tests {
         };
         Scene {
             at,
+            moment: None,
             measured: at,
             cycle,
             ego: Ego {

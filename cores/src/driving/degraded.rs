@@ -326,6 +326,7 @@ mod tests {
         let at = Instant::from_ns(1_000_000_000);
         let scene = Scene {
             at,
+            moment: None,
             cycle: 7,
             ego,
             lanes: Some(Lanes {

@@ -140,7 +140,7 @@ impl Odometry {
         }
     }
 
-    /// Takes the motion measured at `now`. A time that is not later than the last one is ignored.
+    /// Takes the motion measured at `now`. A time before the last one is ignored.
     pub fn update(&mut self, now: Instant, ego: &Ego) {
         if self.count == 0 {
             self.marks[0] = Mark {
@@ -152,7 +152,12 @@ impl Odometry {
             return;
         }
         let last = self.marks[self.newest];
-        if now <= last.at {
+        if now < last.at {
+            return;
+        }
+        if now == last.at {
+            // On the grid of arrivals: the newest counts.
+            self.ego = *ego;
             return;
         }
         let dt = clamp(now.since(last.at).as_secs_f32(), 0.0, MAX_EXTRAPOLATION_S);
@@ -162,9 +167,25 @@ impl Odometry {
         self.count = (self.count + 1).min(MEMORY);
         self.ego = *ego;
         if max(abs(pose.x), abs(pose.y)) > REBASE_M {
-            for mark in &mut self.marks {
-                mark.pose = mark.pose.seen_from(pose);
-            }
+            self.rebase();
+        }
+    }
+
+    /// Moves the frame to the newest pose: what is rounded in later poses no longer depends on how
+    /// far the vehicle has driven since this memory began.
+    pub(super) fn rebase(&mut self) {
+        let base = self.marks[self.newest].pose;
+        let axes = base.axes();
+        for Mark { pose, .. } in &mut self.marks {
+            (pose.x, pose.y) = axes.to_local(pose.x, pose.y);
+            pose.heading = wrap_angle(pose.heading - base.heading);
+        }
+    }
+
+    /// Moves all times by this many nanoseconds.
+    pub(super) fn shift(&mut self, by_ns: i64) {
+        for mark in &mut self.marks {
+            mark.at = mark.at.moved(by_ns);
         }
     }
 

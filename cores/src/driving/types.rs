@@ -130,6 +130,8 @@ pub struct Object {
 pub struct Scene {
     /// The time to which the scene is predicted, on this system's clock.
     pub at: Instant,
+    /// The same in the vehicle's time, the same number in both systems; `None` without that time.
+    pub moment: Option<Instant>,
     /// The time at which the oldest measurement for this cycle was on the bus. If none arrived, the
     /// value of the previous cycle.
     pub measured: Instant,

@@ -86,6 +86,12 @@ pub(crate) fn uncounted<R>(work: impl FnOnce() -> R) -> R {
     work()
 }
 
+/// Counts all requests of this thread from the first call on, and returns their number.
+pub(crate) fn watch_this_thread() -> u64 {
+    ARMED.set(true);
+    REQUESTS.get()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,7 +1,9 @@
-//! Tests that no core allocates in any poll after its start, in either role.
+//! Tests that no core allocates in any poll after its start, in either role, nor a worker pool in
+//! a run.
 
 mod allocator;
 mod board;
+mod pool;
 
 use allocator::counted;
 use board::Counted;

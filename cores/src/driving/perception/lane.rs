@@ -189,6 +189,11 @@ impl LaneFilter {
         })
     }
 
+    /// Moves all times by this many nanoseconds.
+    pub(super) fn shift(&mut self, by_ns: i64) {
+        self.seen = self.seen.map(|seen| seen.moved(by_ns));
+    }
+
     /// Forgets lanes that are too old, so that the next ones are used unfiltered.
     pub(crate) fn expire(&mut self, now: Instant) {
         if self.seen.is_some_and(|seen| now.since(seen) > COAST) {

@@ -56,6 +56,15 @@ impl Lists {
         }
     }
 
+    /// Moves all times by this many nanoseconds.
+    pub(crate) fn shift(&mut self, by_ns: i64) {
+        for list in &mut self.lists {
+            for at in [&mut list.at, &mut list.begun, &mut list.done] {
+                *at = at.moved(by_ns);
+            }
+        }
+    }
+
     /// Returns the time at which the list was complete; `None` if it is not, or was taken.
     pub(crate) fn completed(&self, sensor: usize) -> Option<Instant> {
         let list = &self.lists[sensor];

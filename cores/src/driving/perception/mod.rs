@@ -12,6 +12,7 @@ mod lists;
 mod round;
 mod scene;
 mod sensor_time;
+mod timeline;
 mod track;
 
 use heapless::Vec;
@@ -30,6 +31,7 @@ use round::{LANES, Round};
 use scene::RoadView;
 pub use sensor_time::GlobalClock;
 pub(crate) use sensor_time::{RefusedStamp, SensorClocks};
+use timeline::Timeline;
 use track::{Detection, Passage, Track};
 
 /// Largest number of tracks, confirmed or not.
@@ -44,15 +46,21 @@ pub const SENSOR_LIMIT: Duration = Duration::from_ms(300);
 /// Lanes that no cycle has used.
 #[derive(Clone, Copy, Debug)]
 struct NewLanes {
-    /// When their frame was on the bus.
+    /// When their frame was on the bus, on this system's clock.
+    heard: Instant,
+    /// The same on the timeline.
     arrived: Instant,
     measured: Instant,
     lanes: CameraLanes,
 }
 
 /// The perception function with all its memory: about 14 KiB, without allocation.
+///
+/// All times that it is given and returns are on this system's clock, all that it stores on the
+/// timeline; the sensors' clocks are learned on this system's clock.
 #[derive(Clone, Debug)]
 pub struct Perception {
+    timeline: Timeline,
     odometry: Odometry,
     clocks: SensorClocks,
     lists: Lists,
@@ -83,6 +91,7 @@ impl Perception {
     #[must_use]
     pub fn new() -> Self {
         Self {
+            timeline: Timeline::default(),
             odometry: Odometry::new(),
             clocks: SensorClocks::default(),
             lists: Lists::default(),
@@ -96,6 +105,7 @@ impl Perception {
             request: DriverRequest::default(),
             scene: Scene {
                 at: Instant::ORIGIN,
+                moment: None,
                 measured: Instant::ORIGIN,
                 cycle: 0,
                 missing: 0,
@@ -113,8 +123,32 @@ impl Perception {
 
     /// Sets the global time of this system; `None` if it has none that is good enough. It is used
     /// for the stamps of the frames that follow.
-    pub const fn set_global(&mut self, global: Option<GlobalClock>) {
+    pub fn set_global(&mut self, global: Option<GlobalClock>) {
         self.clocks.set_global(global);
+        if let Some(by_ns) = self.timeline.follow(global.as_ref()) {
+            self.shift(by_ns);
+        }
+    }
+
+    /// Returns whether it computes on the vehicle's time. Then a cycle is at the time of the frame
+    /// that completed the round, and uses no frame that was on the bus after it.
+    #[must_use]
+    pub const fn is_on_vehicle_time(&self) -> bool {
+        self.timeline.is_shared()
+    }
+
+    /// The timeline has leapt: all stored times leap with it, so nothing ages by that.
+    fn shift(&mut self, by_ns: i64) {
+        self.odometry.shift(by_ns);
+        self.lists.shift(by_ns);
+        self.lanes.shift(by_ns);
+        self.round.shift(by_ns);
+        if let Some(new) = &mut self.camera_lanes {
+            (new.arrived, new.measured) = (new.arrived.moved(by_ns), new.measured.moved(by_ns));
+        }
+        for at in self.measured.iter_mut().chain([&mut self.time]).flatten() {
+            *at = at.moved(by_ns);
+        }
     }
 
     /// Returns the newest stamp in global time that was refused after others were used, once.
@@ -127,18 +161,22 @@ impl Perception {
     ///
     /// The time of a list and of lanes is their sensor's time stamp.
     pub fn on_message(&mut self, now: Instant, message: &Message) {
+        let arrived = self.timeline.of(now);
         match message {
-            Message::EgoMotion(motion) => self.odometry.update(now, &ego_of(motion)),
+            Message::EgoMotion(motion) => self.odometry.update(arrived, &ego_of(motion)),
             Message::DriverRequest(request) => self.request = *request,
             Message::SensorHeader(sensor, header) => {
                 let at = self.clocks.time_of(now, *sensor, header.into());
-                self.lists.begin((now, at), *sensor, header);
+                let at = self.timeline.of_stamp(at, header.measured_at);
+                self.lists.begin((arrived, at), *sensor, header);
             }
-            Message::SensorObject(sensor, object) => self.lists.add(now, *sensor, object),
+            Message::SensorObject(sensor, object) => self.lists.add(arrived, *sensor, object),
             Message::CameraLanes(lanes) => {
+                let at = self.clocks.time_of_lanes(now, lanes.into());
                 self.camera_lanes = Some(NewLanes {
-                    arrived: now,
-                    measured: self.clocks.time_of_lanes(now, lanes.into()),
+                    heard: now,
+                    arrived,
+                    measured: self.timeline.of_stamp(at, lanes.measured_at),
                     lanes: *lanes,
                 });
             }
@@ -159,7 +197,8 @@ impl Perception {
     /// Returns the time after `now` at which all these inputs are next expected, if they arrive
     /// every `period`; `None` if nothing arrived for the last cycle.
     pub fn next_round(&mut self, now: Instant, period: Duration) -> Option<Instant> {
-        self.round.next_end(now, period)
+        let next = self.round.next_end(self.timeline.of(now), period)?;
+        Some(self.timeline.local(next))
     }
 
     /// The scene at `now`, from everything that has arrived. Called every 50 ms; time is bounded.
@@ -177,6 +216,10 @@ impl Perception {
     /// this system more precise; it adds nothing to the scene and removes nothing. Knowledge is
     /// ignored if it is old, or after the first [`STARTING_CYCLES`] cycles.
     pub fn cycle_with(&mut self, now: Instant, received: Option<&Knowledge>) -> &Scene {
+        let now = self.timeline.of(now);
+        if self.timeline.is_shared() {
+            self.odometry.rebase();
+        }
         self.round = Round::default();
         let mut oldest: Option<Instant> = None;
         // At most one list of each sensor is pending.
@@ -197,17 +240,22 @@ impl Perception {
             oldest = Some(oldest.map_or(at, |oldest| oldest.min(at)));
             self.advance(at);
             self.lanes.update(at, &self.carried(&new));
-            let line = CameraLine::of(new.arrived, &new.lanes);
+            let line = CameraLine::of(new.heard, &new.lanes);
             self.scene.camera = line.unwrap_or(self.scene.camera);
         }
-        self.scene.measured = oldest.unwrap_or(self.scene.measured);
+        self.scene.measured = oldest.map_or(self.scene.measured, |at| self.timeline.local(at));
+        // The grid may place the last frame before the measurement that it belongs to.
+        let newest = self.time.filter(|_| self.timeline.is_shared());
+        let now = newest.map_or(now, |newest| now.max(newest));
         self.scene.missing = self.missing(now);
         self.advance(now);
-        if let Some(received) =
-            received.filter(|received| now.since(received.at) <= KNOWLEDGE_MAX_AGE)
+        let known_at = |it: &Knowledge| self.timeline.of(it.at);
+        if let Some((received, at)) = received
+            .map(|received| (received, known_at(received)))
+            .filter(|(_, at)| now.since(*at) <= KNOWLEDGE_MAX_AGE)
             && self.is_starting()
         {
-            self.recall(now, received);
+            self.recall((now, at), received);
         }
         self.tidy();
         self.lanes.expire(now);
@@ -308,8 +356,8 @@ impl Perception {
     }
 
     /// Uses the knowledge of another system as the prediction, which detections then correct.
-    fn recall(&mut self, now: Instant, received: &Knowledge) {
-        let dt = now.since(received.at).as_secs_f32();
+    fn recall(&mut self, (now, at): (Instant, Instant), received: &Knowledge) {
+        let dt = now.since(at).as_secs_f32();
         let step = motion(&received.ego, self.odometry.ego(), dt);
         if let Some(line) = &received.line {
             self.lanes.recall(now, &line.c, dt, &step);
@@ -370,7 +418,8 @@ impl Perception {
         let ego = *self.odometry.ego();
         let lanes = self.lanes.lanes(now);
         let road = RoadView::new(lanes.as_ref(), driven_curvature(&ego));
-        self.scene.at = now;
+        self.scene.at = self.timeline.local(now);
+        self.scene.moment = self.timeline.is_shared().then_some(now);
         self.scene.cycle = self.scene.cycle.wrapping_add(1);
         self.scene.ego = ego;
         self.scene.lanes = lanes;

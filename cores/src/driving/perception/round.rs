@@ -24,6 +24,14 @@ impl Round {
         self.members[member] = Some(at);
     }
 
+    /// Moves all times by this many nanoseconds.
+    pub(super) fn shift(&mut self, by_ns: i64) {
+        let times = self.members.iter_mut().flatten();
+        for at in times.chain([&mut self.next_since]) {
+            *at = at.moved(by_ns);
+        }
+    }
+
     /// Returns whether this round has members and all are complete again. `arrived`: when each was
     /// complete.
     pub(super) fn is_next_complete(

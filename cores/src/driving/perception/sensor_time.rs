@@ -34,25 +34,30 @@ const MOST_TRUST: u8 = 200;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GlobalClock {
     at: Instant,
-    us: u32,
+    us: u64,
     error_us: i32,
 }
 
 impl GlobalClock {
-    /// At the time `at` of this core's clock the global time is `us`, modulo 2^32 µs, within
-    /// `error`. `None` if that error is too large to use it.
+    /// At the time `at` of this core's clock the global time is `us`, µs, within
+    /// `error`. `None` if that error is too large to use it, or the time lies after the year 2262.
     #[must_use]
-    pub fn new(at: Instant, us: u32, error: Duration) -> Option<Self> {
+    pub fn new(at: Instant, us: u64, error: Duration) -> Option<Self> {
         let error_us = i32::try_from(error.as_us()).ok()?;
-        (error_us <= ERROR_US).then_some(Self { at, us, error_us })
+        let is_usable = error_us <= ERROR_US && us <= i64::MAX as u64 / 1_000;
+        is_usable.then_some(Self { at, us, error_us })
     }
 
     /// Returns the global time at `at`, modulo 2^32 µs.
     fn us_at(&self, at: Instant) -> u32 {
-        let ahead = at.since(self.at).as_us() as u32;
-        self.us
-            .wrapping_add(ahead)
-            .wrapping_sub(self.at.since(at).as_us() as u32)
+        let ns = at.as_ns().cast_signed().wrapping_add(self.ahead_ns());
+        ns.div_euclid(1_000) as u32
+    }
+
+    /// Returns how far the global time is ahead of this core's clock, ns, modulo 2^64.
+    pub(super) const fn ahead_ns(&self) -> i64 {
+        let ns = self.us.wrapping_mul(1_000);
+        ns.wrapping_sub(self.at.as_ns()).cast_signed()
     }
 
     /// Returns whether a measurement of this age, µs, can arrive now.
@@ -299,7 +304,7 @@ mod tests {
             let global = GLOBAL_US
                 .wrapping_add(global_us)
                 .wrapping_add_signed(self.leap_us);
-            let global = GlobalClock::new(arrives, global, Duration::from_us(100));
+            let global = GlobalClock::new(arrives, global.into(), Duration::from_us(100));
             self.clocks.set_global(global.filter(|_| self.has_global));
             let ahead = match self.state {
                 TimeStateCode::OwnClock => OWN_US,
@@ -448,7 +453,7 @@ mod tests {
                 let own_us = if is_regular { now_us as u32 } else { stamp_us };
                 let global_us = if is_regular { now_us as u32 } else { global_us };
                 let error = Duration::from_us(error_us);
-                clocks.set_global(GlobalClock::new(us(now_us / 2), global_us, error));
+                clocks.set_global(GlobalClock::new(us(now_us / 2), global_us.into(), error));
                 let at = clocks.time_of(now, SensorId::ALL[sensor], Stamp { us: own_us, state });
                 prop_assert!(at <= now);
                 prop_assert!(now.since(at) <= Duration::from_ms(1_000));

@@ -29,9 +29,12 @@ use lateral::{Path, Station, to_cartesian, to_frenet};
 use longitudinal::{COMFORTABLE_BRAKING, Corridor, Manner, Profile, STEP_S, STEPS, cheapest};
 use polynomial::Jet;
 use prediction::Predicted;
+use tandem_board::{Duration, Instant};
 
 /// An older plan is not continued, s.
 const MAX_PLAN_AGE_S: f32 = 0.3;
+/// The vehicle's time has leapt if a span differs by this from that of this system's clock.
+const LEAP: Duration = Duration::from_ms(1);
 /// When the vehicle is this far from its plan, planning restarts from the measured state, m, m,
 /// m/s.
 const MAX_ASIDE_M: f32 = 0.8;
@@ -39,6 +42,9 @@ const MAX_BEHIND_M: f32 = 4.0;
 const MAX_SPEED_ERROR: f32 = 2.5;
 /// Share of the difference by which the plan moves to the measured state in each cycle.
 const DRAW: f32 = 0.04;
+/// With the vehicle's time, a plan continues the last one on this grid: m, rad, 1/m, m/s, m/s². So
+/// plans of two systems that have begun differently become the same bits.
+const GRID: [f32; 5] = [1e-4, 1e-5, 1e-7, 1e-4, 1e-4];
 /// Lateral acceleration in curves, m/s².
 const CURVE_ACCELERATION: f32 = 2.2;
 /// A view of at least this range counts as full, m: it needs no limit of speed.
@@ -86,8 +92,21 @@ pub struct Planner {
 #[derive(Clone, Debug)]
 struct Last {
     trajectory: Trajectory,
+    /// The scene's moment.
+    moment: Option<Instant>,
     ego: Ego,
     line: Option<CentreLine>,
+}
+
+impl Last {
+    /// Returns how much later the scene is: in the vehicle's time, unless that has leapt.
+    fn age(&self, scene: &Scene) -> Duration {
+        let age = scene.at.since(self.trajectory.at);
+        let moments = scene.moment.zip(self.moment);
+        let shared = moments.map(|(now, last)| now.since(last));
+        let is_right = |shared: &Duration| (*shared - age).max(age - *shared) < LEAP;
+        shared.filter(is_right).unwrap_or(age)
+    }
 }
 
 impl Default for Planner {
@@ -101,6 +120,20 @@ struct View {
     frame: FrenetFrame,
     objects: Vec<Predicted, MAX_OBJECTS>,
     lanes: Option<Lanes>,
+}
+
+/// Returns the nearest state on [`GRID`].
+fn on_grid(point: &TrajectoryPoint) -> TrajectoryPoint {
+    let near = |value: f32, step: f32| libm::rintf(value / step) * step;
+    let [place, angle, curvature, speed, acceleration] = GRID;
+    TrajectoryPoint {
+        x: near(point.x, place),
+        y: near(point.y, place),
+        heading: near(point.heading, angle),
+        curvature: near(point.curvature, curvature),
+        speed: near(point.speed, speed),
+        acceleration: near(point.acceleration, acceleration),
+    }
 }
 
 impl Planner {
@@ -139,6 +172,7 @@ impl Planner {
                 memory: plan.memory,
                 points,
             },
+            moment: None,
             ego: received.ego,
             line: received.line.as_ref().map(CentreLine::received),
         });
@@ -267,6 +301,7 @@ impl Planner {
         self.plans = self.plans.saturating_add(1);
         self.last = Some(Last {
             trajectory: trajectory.clone(),
+            moment: scene.moment,
             ego: scene.ego,
             line,
         });
@@ -287,7 +322,7 @@ impl Planner {
         let Some(last) = &self.last else {
             return (measured, 0.0);
         };
-        let age = scene.at.since(last.trajectory.at).as_secs_f32();
+        let age = last.age(scene).as_secs_f32();
         if age > MAX_PLAN_AGE_S || scene.at <= last.trajectory.at {
             return (measured, 0.0);
         }
@@ -314,7 +349,10 @@ impl Planner {
             speed: planned.speed + DRAW * (measured.speed - planned.speed),
             acceleration: planned.acceleration,
         };
-        (start, step.x)
+        match scene.moment {
+            Some(_) => (on_grid(&start), step.x),
+            None => (start, step.x),
+        }
     }
 
     /// Notices when the ego lane has become another one: its centre line jumps aside.
@@ -323,7 +361,7 @@ impl Planner {
             return;
         };
         let Some(before) = last.line else { return };
-        let age = scene.at.since(last.trajectory.at).as_secs_f32();
+        let age = last.age(scene).as_secs_f32();
         let step = motion(&last.ego, &scene.ego, age);
         let jump = line.project(0.0, 0.0).1 - before.project(step.x, step.y).1;
         if abs(jump) > 0.5 * lanes.width {

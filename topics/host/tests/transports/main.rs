@@ -68,8 +68,8 @@ fn outcome_of<R: Transport>(run: fn(&R)) -> io::Result<()> {
 }
 
 fn main() -> ExitCode {
-    // Not a private `/dev/shm`: iceoryx2 keeps one half of a service there, and the other in `/tmp`.
-    // A test beside this one that sees only that half takes the service for a broken one.
+    // Not a private `/dev/shm`: iceoryx2 keeps one half of a service there, and the other in
+    // `/tmp`. A test beside this one that sees only that half takes the service for a broken one.
     let place = tandem_board_host::isolation::enter_shared().unwrap();
     let mut all: Vec<Trial> = trials::<lmu::Lmu<false>>("lmu", in_shared_memory()).collect();
     all.extend(trials::<lmu::Lmu<false>>("lmu", checked()));

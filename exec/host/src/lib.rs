@@ -1,0 +1,10 @@
+//! The platform that runs the processes of a computer: what may run, when, and what happens when it
+//! fails.
+#![forbid(unsafe_code)]
+
+pub mod launcher;
+pub mod manifest;
+pub mod pool;
+pub mod supervisor;
+pub mod sync;
+pub mod trust;

@@ -1,0 +1,2 @@
+/* A library that another library needs. */
+const char *second(void) { return TOKEN "-second"; }
