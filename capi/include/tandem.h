@@ -456,7 +456,7 @@ typedef struct tandem_handle_t {
 // The redundancy of one system. Must be static and initially zero.
 typedef struct tandem_redundancy_t {
   // Private.
-  uint64_t opaque[112];
+  uint64_t opaque[128];
 } tandem_redundancy_t;
 
 // The state of a system and its view of the other system, which are kept over resets.

@@ -87,7 +87,7 @@ const _: () = assert!(TANDEM_MAX_EVENTS == Actions::EVENTS);
 #[derive(Debug)]
 pub struct TandemRedundancy {
     /// Private.
-    pub opaque: [u64; 112],
+    pub opaque: [u64; 128],
 }
 
 opaque!(TandemRedundancy, Redundancy, 0x0E);

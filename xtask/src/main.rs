@@ -10,6 +10,7 @@ mod instructions;
 mod licences;
 mod mutants;
 mod names;
+mod package;
 mod requirements;
 mod rooms;
 mod rta;
@@ -64,6 +65,8 @@ enum Task {
     Test,
     /// Check the licences and sources of all dependencies against deny.toml
     Licences,
+    /// Pack the crates that others may depend on, and build each from its package
+    Package,
     /// Check the house rules: permitted dependencies, file heads and sizes, unsafe code only where
     /// allowed, shared names, the lines of each room
     Tidy {
@@ -353,6 +356,7 @@ fn execute() -> Result<()> {
     match Arguments::parse().task {
         Task::Test => test_runner::test(root),
         Task::Licences => licences::run(root),
+        Task::Package => package::run(root),
         Task::Tidy { save } => tidy::run(root, save),
         Task::Requirements { require } => requirements::run(root, &require),
         Task::Broken { name, check } => broken::run(root, &name, check),
