@@ -97,6 +97,18 @@ pub enum ManifestError {
     Layout,
 }
 
+impl core::fmt::Display for ManifestError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Magic => "the magic number is wrong",
+            Self::Format => "its format is unknown, or its checksum is wrong",
+            Self::Layout => "its parts overlap, are out of order or outside of it",
+        })
+    }
+}
+
+impl core::error::Error for ManifestError {}
+
 fn are_zero<'b>(mut bytes: impl Iterator<Item = &'b u8>) -> bool {
     bytes.all(|byte| *byte == 0)
 }

@@ -39,6 +39,19 @@ pub enum SRecordError {
     Checksum,
 }
 
+impl core::fmt::Display for SRecordError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Type => "it does not begin with S and a digit",
+            Self::Length => "its length field does not match it",
+            Self::Digit => "a character is not a hex digit",
+            Self::Checksum => "its checksum is wrong",
+        })
+    }
+}
+
+impl core::error::Error for SRecordError {}
+
 /// One record with a valid checksum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SRecord {

@@ -112,6 +112,17 @@ pub enum StateDecodeError {
     Invalid,
 }
 
+impl core::fmt::Display for StateDecodeError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Blank => "erased flash",
+            Self::Invalid => "not a complete record of this layout",
+        })
+    }
+}
+
+impl core::error::Error for StateDecodeError {}
+
 impl SystemState {
     /// Length of a record in flash: four pages of 8 bytes.
     pub const BYTES: usize = 32;

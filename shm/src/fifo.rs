@@ -171,6 +171,14 @@ const fn complete(k: u32) -> u32 {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Full;
 
+impl core::fmt::Display for Full {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("the queue is full")
+    }
+}
+
+impl core::error::Error for Full {}
+
 /// The sending end. Each queue has one.
 #[derive(Debug)]
 pub struct Producer<'a, T = ()> {

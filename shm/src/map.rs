@@ -98,6 +98,21 @@ pub enum MapError {
     WrongLayout,
 }
 
+impl core::fmt::Display for MapError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::TooSmall => "the LMU has fewer words than the layout needs",
+            Self::Misaligned => "the LMU does not begin at a boundary of 64 bytes",
+            Self::NotReady => "the LMU is not formatted yet",
+            Self::WrongMagic => "this is not an LMU of this project",
+            Self::WrongVersion => "another version of this crate formatted the LMU",
+            Self::WrongLayout => "an image with another layout formatted the LMU",
+        })
+    }
+}
+
+impl core::error::Error for MapError {}
+
 impl From<FitError> for MapError {
     fn from(error: FitError) -> Self {
         match error {

@@ -48,6 +48,18 @@ pub enum ReadError {
     Corrupt,
 }
 
+impl core::fmt::Display for ReadError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Empty => "no value was published",
+            Self::Overrun => "the writer overtook the reader at every attempt",
+            Self::Corrupt => "the words are not a value of this type",
+        })
+    }
+}
+
+impl core::error::Error for ReadError {}
+
 impl From<Corrupt> for ReadError {
     fn from(_: Corrupt) -> Self {
         Self::Corrupt

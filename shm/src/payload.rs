@@ -6,6 +6,14 @@ use crate::sync::{AtomicU32, Ordering};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Corrupt;
 
+impl core::fmt::Display for Corrupt {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("a word has an impossible value")
+    }
+}
+
+impl core::error::Error for Corrupt {}
+
 /// A type that crosses the LMU as a fixed number of words: the codec of a payload.
 pub trait Payload: Sized {
     /// Number of words of a value; at least 1.

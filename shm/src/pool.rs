@@ -158,6 +158,17 @@ pub enum GetError {
     Busy,
 }
 
+impl core::fmt::Display for GetError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Full => "no free run of blocks is long enough",
+            Self::Busy => "other cores take the blocks; try again later",
+        })
+    }
+}
+
+impl core::error::Error for GetError {}
+
 /// Why a handle is refused. A wrong length is refused only if it needs another number of blocks:
 /// the owner of a block owns all of its words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -170,6 +181,18 @@ pub enum HandleError {
     NotOwner,
 }
 
+impl core::fmt::Display for HandleError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Invalid => "the pool never made this allocation",
+            Self::Stale => "the words were already given back",
+            Self::NotOwner => "the words belong to another incarnation",
+        })
+    }
+}
+
+impl core::error::Error for HandleError {}
+
 /// Why words could not be handed over; their owner is unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandOverError {
@@ -178,6 +201,17 @@ pub enum HandOverError {
     /// The other core is not alive.
     ReceiverDead,
 }
+
+impl core::fmt::Display for HandOverError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Handle(error) => error.fmt(f),
+            Self::ReceiverDead => f.write_str("the receiver is not alive"),
+        }
+    }
+}
+
+impl core::error::Error for HandOverError {}
 
 impl From<HandleError> for HandOverError {
     fn from(error: HandleError) -> Self {

@@ -155,6 +155,17 @@ pub enum EndError {
     Fit(FitError),
 }
 
+impl core::fmt::Display for EndError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Claimed(holder) => write!(f, "the end is held by {holder:?}"),
+            Self::Fit(error) => write!(f, "the region is not part of this layout: {error}"),
+        }
+    }
+}
+
+impl core::error::Error for EndError {}
+
 impl From<FitError> for EndError {
     fn from(error: FitError) -> Self {
         Self::Fit(error)

@@ -20,6 +20,17 @@ pub enum FitError {
     Misaligned,
 }
 
+impl core::fmt::Display for FitError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::TooSmall => "fewer words than the primitive needs",
+            Self::Misaligned => "the first word is not at a cache line of 64 bytes",
+        })
+    }
+}
+
+impl core::error::Error for FitError {}
+
 /// Returns the first `needed` words, if there are enough and they start at a cache line.
 #[inline]
 pub(crate) fn fit(words: &[AtomicU32], needed: usize) -> Result<&[AtomicU32], FitError> {

@@ -25,6 +25,14 @@ pub struct CanFrame {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InvalidFrame;
 
+impl core::fmt::Display for InvalidFrame {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("the id or the length is not valid for CAN or CAN FD")
+    }
+}
+
+impl core::error::Error for InvalidFrame {}
+
 impl CanFrame {
     /// Makes a frame with these data; a CAN FD frame if `fd`.
     ///
@@ -75,6 +83,14 @@ impl CanFrame {
 /// The transmit buffer is full; the frame was not accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TransmitFull;
+
+impl core::fmt::Display for TransmitFull {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("the transmit buffer is full")
+    }
+}
+
+impl core::error::Error for TransmitFull {}
 
 /// A frame received from the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -11,6 +11,18 @@ pub enum FlashError {
     Failed,
 }
 
+impl core::fmt::Display for FlashError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Busy => "an operation is in progress",
+            Self::OutOfRange => "the range is outside the flash or not aligned",
+            Self::Failed => "the medium cannot be read or written",
+        })
+    }
+}
+
+impl core::error::Error for FlashError {}
+
 /// State of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlashStatus {

@@ -83,6 +83,14 @@ pub trait Lines {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkFull;
 
+impl core::fmt::Display for LinkFull {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("the transmit buffer of the link is full")
+    }
+}
+
+impl core::error::Error for LinkFull {}
+
 /// The bulk data link to the other system (HSSL; SPI would work the same way): datagrams, in order,
 /// not acknowledged. The receiver must check the content.
 pub trait Link {

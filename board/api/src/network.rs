@@ -65,6 +65,14 @@ pub struct Datagram {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NetworkFull;
 
+impl core::fmt::Display for NetworkFull {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("the transmit buffer of the port is full")
+    }
+}
+
+impl core::error::Error for NetworkFull {}
+
 /// A system's Ethernet port, which belongs to core 0. D-1, S-2
 ///
 /// The channels are independent: one call at a time on each, so a task may have a channel of its
