@@ -28,17 +28,6 @@ pub enum WriteError {
     Ended,
 }
 
-impl core::fmt::Display for WriteError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(match self {
-            Self::TooLong => "it has more bytes than the participant has room for",
-            Self::Ended => "the writer has used all its numbers",
-        })
-    }
-}
-
-impl core::error::Error for WriteError {}
-
 #[derive(Clone, Debug)]
 pub(crate) struct Writer<const DEPTH: usize, const BYTES: usize> {
     /// Length and bytes of each.

@@ -1,0 +1,50 @@
+//! `cargo xtask package`: the crates that others may depend on, packed as for a registry and built
+//! from their packages.
+
+use anyhow::{Context as _, Result, ensure};
+use serde_json::Value;
+use std::path::Path;
+
+/// Packs every crate whose manifest permits to publish it, and builds each from its package, with
+/// the others' packages. Publishes nothing.
+pub(crate) fn run(root: &Path) -> Result<()> {
+    let arguments = ["metadata", "--format-version=1", "--no-deps", "--locked"];
+    let output = crate::cargo(root, &arguments).output()?;
+    ensure!(output.status.success(), "cargo metadata failed");
+    let metadata: Value = serde_json::from_slice(&output.stdout)?;
+    let all = metadata["packages"].as_array().context("no packages")?;
+    let names: Vec<&str> = all
+        .iter()
+        .filter(|it| it["publish"].is_null())
+        .filter_map(|it| it["name"].as_str())
+        .collect();
+    ensure!(!names.is_empty(), "no crate may be published");
+    for package in all.iter().filter(|it| it["publish"].is_null()) {
+        let missing = ["description", "license", "readme", "rust_version"];
+        let missing = missing.iter().find(|key| package[**key].is_null());
+        let (name, lists) = (&package["name"], ["keywords", "categories"]);
+        let empty = lists
+            .iter()
+            .find(|key| package[**key] == Value::Array(vec![]));
+        let lacks = missing.or(empty);
+        ensure!(lacks.is_none(), "{name}: its Cargo.toml lacks {lacks:?}");
+    }
+    let mut command = crate::cargo(root, &["package", "--quiet", "--locked", "--allow-dirty"]);
+    // Of its own: beside it, the tests may be built.
+    command
+        .arg("--target-dir")
+        .arg(root.join("target/packages"));
+    for name in &names {
+        command.args(["-p", name]);
+    }
+    // Cargo warns of each patch in .cargo/config.toml that these builds do not need.
+    let output = command.output().context("cargo package")?;
+    let told = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "cargo package failed:\n{told}");
+    println!(
+        "{} crates packed and built: {}",
+        names.len(),
+        names.join(", ")
+    );
+    Ok(())
+}
