@@ -11,6 +11,14 @@ use sha2::{Digest, Sha256};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FlashFault;
 
+impl core::fmt::Display for FlashFault {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("an operation of the flash failed")
+    }
+}
+
+impl core::error::Error for FlashFault {}
+
 /// Reads bytes. Only a failed read is an error: the caller must check for noise.
 pub(crate) fn read<const N: usize>(
     flash: &mut impl NorFlash,

@@ -98,6 +98,17 @@ pub enum NotTaken {
     WrongTime,
 }
 
+impl core::fmt::Display for NotTaken {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Stale => "it is for a cycle that was taken, or for an earlier one",
+            Self::WrongTime => "it is at no time for which this client may wait",
+        })
+    }
+}
+
+impl core::error::Error for NotTaken {}
+
 /// One redundant client.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Client {

@@ -37,6 +37,14 @@ pub struct Lost {
     pub count: u32,
 }
 
+impl core::fmt::Display for Lost {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "{} values were lost", self.count)
+    }
+}
+
+impl core::error::Error for Lost {}
+
 /// A receiving end with its own cursor. Any number may exist on any core, at no cost to the writer.
 #[derive(Debug)]
 pub struct Receiver<'a, T = ()> {

@@ -67,6 +67,14 @@ pub struct Outdated {
     pub current: u32,
 }
 
+impl core::fmt::Display for Outdated {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "generation {} of this core is announced", self.current)
+    }
+}
+
+impl core::error::Error for Outdated {}
+
 /// The incarnation table in the LMU.
 #[derive(Clone, Copy, Debug)]
 pub struct Incarnations<'a> {

@@ -94,6 +94,14 @@ const fn released_at(core: usize, generation: u32) -> usize {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LockTimedOut;
 
+impl core::fmt::Display for LockTimedOut {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("the lock was not free within the given number of polls")
+    }
+}
+
+impl core::error::Error for LockTimedOut {}
+
 /// Why one poll did not take the lock.
 enum Missed {
     /// Another core holds the lock, or took it first.

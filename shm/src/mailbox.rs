@@ -439,6 +439,14 @@ pub type TaskFn<C> = fn(&mut C, u32, Call);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Taken;
 
+impl core::fmt::Display for Taken {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("the id already has a task")
+    }
+}
+
+impl core::error::Error for Taken {}
+
 /// The receiver's table of tasks. It holds function pointers, so it stays in private memory; only
 /// ids are passed through the LMU. T-SYNC-3
 #[derive(Debug)]
