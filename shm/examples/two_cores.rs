@@ -1,4 +1,5 @@
-//! Two cores that hand over values: each is a thread here. `cargo run -p tandem-shm --example two_cores`
+//! Two cores that hand over values: each is a thread here.
+//! `cargo run -p tandem-shm --example two_cores`
 #![allow(clippy::print_stdout, reason = "its output is its purpose")]
 
 use std::error::Error;
@@ -21,8 +22,8 @@ static LMU: Lmu = Lmu([const { AtomicU32::new(0) }; 512]);
 
 fn main() -> Result<(), Box<dyn Error>> {
     let map = Map::format(&LMU.0, SPEED.end())?;
-    let [sender, receiver] =
-        [0, 1].map(|core| Incarnation::new(core, 1).expect("below the limits"));
+    let sender = Incarnation::new(0, 1).ok_or("no core 0")?;
+    let receiver = Incarnation::new(1, 1).ok_or("no core 1")?;
     for core in [sender, receiver] {
         map.incarnations().announce(core)?;
     }
