@@ -4,6 +4,41 @@
 use anyhow::{Context as _, Result, ensure};
 use serde_json::Value;
 use std::path::Path;
+use std::process::Command;
+
+/// Builds the same crates with the oldest compiler that their manifests permit, if rustup has it.
+fn build_with_oldest(root: &Path, metadata: &[&Value], names: &[&str]) -> Result<()> {
+    let oldest = metadata.iter().find_map(|it| it["rust_version"].as_str());
+    let oldest = oldest.context("no rust-version")?;
+    let toolchain = format!("{oldest}.0");
+    let has = Command::new("rustup")
+        .args(["run", &toolchain, "rustc", "--version"])
+        .output();
+    if !has.is_ok_and(|it| it.status.success()) {
+        println!("Rust {toolchain} is not installed: rustup toolchain install {toolchain}");
+        return Ok(());
+    }
+    let mut command = Command::new("rustup");
+    command
+        .args(["run", &toolchain, "cargo", "check", "--quiet", "--locked"])
+        .current_dir(root);
+    command
+        .env_remove("RUSTC")
+        .env_remove("RUSTDOC")
+        .env_remove("CARGO");
+    command
+        .arg("--target-dir")
+        .arg(root.join("target/packages"));
+    for name in names {
+        command.args(["-p", name]);
+    }
+    ensure!(
+        command.status()?.success(),
+        "Rust {toolchain} does not build them"
+    );
+    println!("built with Rust {toolchain}, the oldest that they permit");
+    Ok(())
+}
 
 /// Packs every crate whose manifest permits to publish it, and builds each from its package, with
 /// the others' packages. Publishes nothing.
@@ -13,13 +48,11 @@ pub(crate) fn run(root: &Path) -> Result<()> {
     ensure!(output.status.success(), "cargo metadata failed");
     let metadata: Value = serde_json::from_slice(&output.stdout)?;
     let all = metadata["packages"].as_array().context("no packages")?;
-    let names: Vec<&str> = all
-        .iter()
-        .filter(|it| it["publish"].is_null())
-        .filter_map(|it| it["name"].as_str())
-        .collect();
+    let ours = all.iter().filter(|it| it["publish"].is_null());
+    let ours: Vec<&Value> = ours.collect();
+    let names: Vec<&str> = ours.iter().filter_map(|it| it["name"].as_str()).collect();
     ensure!(!names.is_empty(), "no crate may be published");
-    for package in all.iter().filter(|it| it["publish"].is_null()) {
+    for package in &ours {
         let missing = ["description", "license", "readme", "rust_version"];
         let missing = missing.iter().find(|key| package[**key].is_null());
         let (name, lists) = (&package["name"], ["keywords", "categories"]);
@@ -46,5 +79,5 @@ pub(crate) fn run(root: &Path) -> Result<()> {
         names.len(),
         names.join(", ")
     );
-    Ok(())
+    build_with_oldest(root, &ours, &names)
 }
