@@ -57,9 +57,9 @@ pub(crate) struct Channels {
 }
 
 impl Channels {
-    /// Creates the channels. `ahead_ns` is how much later UTC is than the clock of the run; `None`
-    /// takes the first sample as new.
-    pub(crate) fn new(context: &Arc<Context>, ahead_ns: Option<u64>) -> Self {
+    /// Creates the channels. This is done before clients connect: so each sees all channels at
+    /// once.
+    pub(crate) fn new(context: &Arc<Context>) -> Self {
         Self {
             transform: context.channel_builder("/tf").build(),
             pose: context.channel_builder("/vehicle/pose").build(),
@@ -74,11 +74,17 @@ impl Channels {
             roles: figures(context, "/roles", &ROLES),
             gaps: figures(context, "/gaps", &GAPS),
             driving: Driving::new(),
-            ahead_ns,
+            ahead_ns: None,
             last: None,
             states: [0; 2],
             newest_ns: 0,
         }
+    }
+
+    /// Sets how much later UTC is than the clock of the run. Otherwise the first sample is taken as
+    /// new.
+    pub(crate) const fn set_utc(&mut self, ahead_ns: Option<u64>) {
+        self.ahead_ns = ahead_ns;
     }
 
     /// Passes on what a sample of the run says.
@@ -138,7 +144,11 @@ impl Channels {
     }
 
     fn roles(&mut self, now: &Roles) {
-        let ns = self.utc(now.at_ns.max(self.newest_ns));
+        if now.at_ns == 0 {
+            // No frame was on the bus yet.
+            return;
+        }
+        let ns = self.utc(now.at_ns);
         let value = json!({
             "time": now.time_s,
             "a": state(now.state[0]),

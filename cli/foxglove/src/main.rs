@@ -93,7 +93,9 @@ fn run(args: &Arguments) -> Result<(), Failure> {
     }
     let mut observer = Observer::on(args.run.name.as_deref()).map_err(Failure::usage)?;
     let port = args.port.or(args.mcap.is_none().then_some(8765));
-    let sinks = Sinks::open(args.mcap.as_deref(), port).map_err(Failure::Usage)?;
+    let context = foxglove::Context::new();
+    let mut channels = Channels::new(&context);
+    let sinks = Sinks::open(&context, args.mcap.as_deref(), port).map_err(Failure::Usage)?;
     if let Some(port) = sinks.port() {
         eprintln!("{}", tandem::foxglove::address(port));
     }
@@ -104,8 +106,7 @@ fn run(args: &Arguments) -> Result<(), Failure> {
     let run = observer.run().to_string();
     // A run in emulated machines has a time of its own, and no processes in the list.
     let is_listed = process_list::run_named(Some(&run)).is_ok();
-    let ahead = is_listed.then(utc_ahead_of_run).flatten();
-    let mut channels = Channels::new(sinks.context(), ahead);
+    channels.set_utc(is_listed.then(utc_ahead_of_run).flatten());
     let mut checked = Instant::now();
     let mut is_over = || {
         if is_listed && checked.elapsed() > CHECK {
@@ -128,7 +129,9 @@ fn run(args: &Arguments) -> Result<(), Failure> {
 /// Shows the run that `tandem run` names, until it closes stdin.
 fn beside(args: &Arguments) -> anyhow::Result<()> {
     // Ctrl-C ends the run, and the run ends this program.
-    let opened = Sinks::open(args.mcap.as_deref(), args.port);
+    let context = foxglove::Context::new();
+    let mut channels = Channels::new(&context);
+    let opened = Sinks::open(&context, args.mcap.as_deref(), args.port);
     let ready = match &opened {
         Ok(sinks) => Ready::At(sinks.port()),
         Err(error) => Ready::Refused(format!("{error:#}")),
@@ -154,8 +157,7 @@ fn beside(args: &Arguments) -> anyhow::Result<()> {
     let Some(mut observer) = subscribe(&run, &over) else {
         return sinks.discard();
     };
-    let ahead = (!begin.is_virtual).then(utc_ahead_of_run).flatten();
-    let mut channels = Channels::new(sinks.context(), ahead);
+    channels.set_utc((!begin.is_virtual).then(utc_ahead_of_run).flatten());
     follow(&mut observer, &mut channels, &mut || {
         over.load(Ordering::Relaxed)
     });

@@ -18,19 +18,22 @@ const HOST: &str = "127.0.0.1";
 
 /// The open sinks. Dropping them closes the file.
 pub(crate) struct Sinks {
-    context: Arc<Context>,
     file: Option<(McapWriterHandle<BufWriter<File>>, PathBuf)>,
     server: Option<WebSocketServerHandle>,
 }
 
 impl Sinks {
-    /// Creates the file, and starts the server at this port; 0 chooses one.
+    /// Creates the file, and starts the server at this port; 0 chooses one. They get the messages of
+    /// the context's channels.
     ///
     /// # Errors
     /// If the port is taken, or the file cannot be written or is no MCAP file. Then nothing is
     /// left behind.
-    pub(crate) fn open(path: Option<&Path>, port: Option<u16>) -> anyhow::Result<Self> {
-        let context = Context::new();
+    pub(crate) fn open(
+        context: &Arc<Context>,
+        path: Option<&Path>,
+        port: Option<u16>,
+    ) -> anyhow::Result<Self> {
         let start = |port| {
             let server = context.websocket_server().name("tandem").bind(HOST, port);
             let server = server.start_blocking();
@@ -44,16 +47,7 @@ impl Sinks {
             anyhow::Ok((writer, path.to_owned()))
         };
         let file = path.map(create).transpose()?;
-        Ok(Self {
-            context,
-            file,
-            server,
-        })
-    }
-
-    /// Returns what channels are created in.
-    pub(crate) const fn context(&self) -> &Arc<Context> {
-        &self.context
+        Ok(Self { file, server })
     }
 
     /// Returns the port of the server.
@@ -118,7 +112,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("notes.txt");
         fs::write(&path, "my notes").unwrap();
-        let Err(error) = Sinks::open(Some(&path), None) else {
+        let Err(error) = Sinks::open(&Context::new(), Some(&path), None) else {
             panic!("it was replaced")
         };
         assert!(error.to_string().contains("no MCAP file"), "{error}");
@@ -130,21 +124,21 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
         for _ in 0..2 {
-            let sinks = Sinks::open(Some(&path), None).unwrap();
+            let sinks = Sinks::open(&Context::new(), Some(&path), None).unwrap();
             sinks.close(&BTreeMap::new()).unwrap();
         }
         let bytes = fs::read(&path).unwrap();
         assert!(bytes.starts_with(&MAGIC) && bytes.ends_with(&MAGIC));
-        let sinks = Sinks::open(Some(&path), None).unwrap();
+        let sinks = Sinks::open(&Context::new(), Some(&path), None).unwrap();
         sinks.discard().unwrap();
         assert!(!path.exists());
     }
 
     #[test]
     fn a_taken_port_is_refused() {
-        let first = Sinks::open(None, Some(0)).unwrap();
+        let first = Sinks::open(&Context::new(), None, Some(0)).unwrap();
         let port = first.port().unwrap();
-        let Err(error) = Sinks::open(None, Some(port)) else {
+        let Err(error) = Sinks::open(&Context::new(), None, Some(port)) else {
             panic!("two servers at one port")
         };
         assert!(
