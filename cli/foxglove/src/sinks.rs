@@ -23,8 +23,8 @@ pub(crate) struct Sinks {
 }
 
 impl Sinks {
-    /// Creates the file, and starts the server at this port; 0 chooses one. They get the messages of
-    /// the context's channels.
+    /// Creates the file, and starts the server at this port; 0 chooses one. Both get the messages
+    /// of the context's channels.
     ///
     /// # Errors
     /// If the port is taken, or the file cannot be written or is no MCAP file. Then nothing is
