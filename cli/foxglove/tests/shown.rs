@@ -188,6 +188,74 @@ fn a_run_with_a_takeover_is_shown_and_recorded() {
     );
 }
 
+/// Returns the process id of the program that shows this run.
+fn shown_by(run: &Run) -> Option<String> {
+    let tasks = fs::read_dir(format!("/proc/{}/task", run.0.id())).unwrap();
+    let children = tasks.map(|task| fs::read_to_string(task.unwrap().path().join("children")));
+    let children: Vec<_> = children.map(Result::unwrap_or_default).collect();
+    let of = |pid: &&str| {
+        let line = fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        line.contains("tandem-foxglove")
+    };
+    let mut pids = children.iter().flat_map(|it| it.split_whitespace());
+    pids.find(of).map(str::to_owned)
+}
+
+/// The run drives to its end if the program that shows it is killed, and says so.
+#[test]
+fn a_killed_program_disturbs_no_run() {
+    let programs = Programs::new();
+    let words = "run --json --duration 3 --scenario free-lane --mcap run.mcap --foxglove 0";
+    let mut command = programs.tandem(&words.split(' ').collect::<Vec<_>>());
+    let spawned = command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut run = Run(spawned.spawn().unwrap());
+    let mut lines = BufReader::new(run.0.stderr.take().unwrap()).lines();
+    let address = lines.find(|line| line.as_ref().unwrap().contains("localhost:"));
+    assert!(address.is_some(), "no address");
+    let pid = shown_by(&run).expect("a program that shows the run");
+    let killed = Command::new("kill").args(["-9", &pid]).status().unwrap();
+    assert!(killed.success());
+    let rest: Vec<_> = lines.map_while(Result::ok).collect();
+    let metrics: Value = serde_json::from_reader(run.0.stdout.take().unwrap()).unwrap();
+    run.0.wait().unwrap();
+    assert!(metrics["duration_s"].as_f64().unwrap() > 2.9, "{metrics:#}");
+    assert_eq!(metrics["leftovers"], serde_json::json!([]));
+    let says = |line: &String| line.contains("the program for Foxglove ended");
+    assert!(rest.iter().any(says), "{rest:#?}");
+}
+
+/// A run of the firmware in emulated machines is recorded too.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_run_in_emulated_machines_is_recorded() {
+    let programs = Programs::new();
+    let built = Path::new(env!("CARGO_BIN_EXE_tandem-foxglove"));
+    fs::copy(
+        built.with_file_name("tandem-lab"),
+        programs.path("tandem-lab"),
+    )
+    .unwrap();
+    let images = built.parent().unwrap().with_file_name("firmware");
+    let images = images.join("riscv32imac-unknown-none-elf/release");
+    let images = std::env::var_os("TANDEM_IMAGES").map_or(images, PathBuf::from);
+    let image = images.join("controller");
+    let file = programs.path("run.mcap");
+    let Some(read) = oracle(&["file", file.to_str().unwrap()]) else {
+        return;
+    };
+    let words = "run --quiet --board qemu --duration 3 --mcap run.mcap --firmware";
+    let mut command = programs.tandem(&words.split(' ').collect::<Vec<_>>());
+    let output = command.arg(&image).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    let found = said_by(read);
+    // Its time is the emulator's: no machine can hold it up.
+    let seconds = found["seconds"].as_f64().unwrap();
+    assert!((3.0..4.0).contains(&seconds), "{found:#}");
+    assert_eq!(found["points"], serde_json::json!([41]));
+    assert!(found["driven_m"].as_f64().unwrap() > 50.0, "{found:#}");
+}
+
 /// What cannot be opened is refused before anything is started, and nothing is left.
 #[test]
 fn what_cannot_be_opened_is_refused() {
