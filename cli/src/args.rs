@@ -82,6 +82,8 @@ pub enum Command {
     Ps(PsArgs),
     /// Watch a run live, and inject faults by keys
     Top(PassedArguments),
+    /// Show a run in Foxglove: as an MCAP file, or live
+    Foxglove(PassedArguments),
     /// Publish a run for observers; `tandem run` starts this
     #[command(hide = true)]
     Publish,
@@ -273,6 +275,14 @@ pub struct RunArgs {
     /// Switch system A on this long after system B: 40ms
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub stagger: Option<f64>,
+
+    /// Also record the run for Foxglove, to this MCAP file (docs/foxglove.md)
+    #[arg(long, value_name = "FILE")]
+    pub mcap: Option<PathBuf>,
+
+    /// Show the run live in Foxglove, at this port of this machine; 0 chooses one
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
+    pub foxglove: Option<u16>,
 
     /// Print only the contents of metrics.json on stdout
     #[arg(long)]

@@ -20,6 +20,8 @@ const POLL_INTERVAL: Duration = Duration::from_millis(5);
 pub enum Program {
     /// The benchmarks, with the libraries that they compare.
     Bench,
+    /// Runs in Foxglove, with its SDK.
+    Foxglove,
     /// Virtual time, emulators, campaigns and experiments.
     Lab,
     /// The live view.
@@ -30,6 +32,7 @@ impl Program {
     const fn name(self) -> &'static str {
         match self {
             Self::Bench => "tandem-bench",
+            Self::Foxglove => "tandem-foxglove",
             Self::Lab => "tandem-lab",
             Self::Top => "tandem-top",
         }
@@ -38,7 +41,7 @@ impl Program {
     const fn package(self) -> &'static str {
         match self {
             Self::Bench => "tandem-benches",
-            Self::Lab | Self::Top => self.name(),
+            Self::Foxglove | Self::Lab | Self::Top => self.name(),
         }
     }
 }
@@ -64,18 +67,30 @@ pub struct PassedArguments {
 /// # Errors
 /// [`Failure::Usage`] if the program is missing.
 pub fn become_program(program: Program, arguments: &[OsString]) -> Result<(), Failure> {
-    let folder = this_file().map_err(Failure::Usage)?.with_file_name("");
+    let path = built(program).map_err(Failure::Usage)?;
+    let error = Command::new(&path).args(arguments).exec();
+    Err(Failure::Usage(missing(program, &path, &error)))
+}
+
+/// Returns the error that the program does not start.
+pub(crate) fn missing(program: Program, path: &Path, error: &std::io::Error) -> anyhow::Error {
+    let (shown, package) = (path.display(), program.package());
+    anyhow!("{shown}: {error}; build it: cargo build --release -p {package}")
+}
+
+/// Returns the path of the program, built as [`become_program`] describes.
+///
+/// # Errors
+/// If it does not exist, and cargo fails.
+pub(crate) fn built(program: Program) -> anyhow::Result<PathBuf> {
+    let folder = this_file()?.with_file_name("");
     let path = folder.join(program.name());
     let is_there = path.exists();
     match build(program, &folder) {
         Err(error) if is_there => eprintln!("{} may be out of date: {error:#}", path.display()),
-        built => built.map_err(Failure::Usage)?,
+        built => built?,
     }
-    let error = Command::new(&path).args(arguments).exec();
-    let (shown, package) = (path.display(), program.package());
-    Err(Failure::Usage(anyhow!(
-        "{shown}: {error}; build it: cargo build --release -p {package}"
-    )))
+    Ok(path)
 }
 
 /// Returns the path of this program's file. If the program runs from a sealed copy in memory, that

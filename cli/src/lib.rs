@@ -19,6 +19,7 @@ pub mod exec_sign;
 pub mod failure;
 pub mod files;
 mod forging;
+pub mod foxglove;
 mod gptp;
 pub mod grandmaster;
 pub mod injection;

@@ -35,6 +35,7 @@ fn words() -> Vec<OsString> {
 fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
     match command {
         Command::Bench(_) => become_program(Program::Bench, words),
+        Command::Foxglove(_) => become_program(Program::Foxglove, words),
         Command::Top(_) => become_program(Program::Top, words),
         Command::Judge(_)
         | Command::Flash(_)

@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, anyhow};
 use rustix::process::getppid;
 use serde::{Deserialize, Serialize};
 use tandem_board::{CanId, CoreAddress, SystemId};
@@ -34,7 +34,10 @@ use tandem_record::{Entry, description, file};
 use tandem_shm::topic::Publish as _;
 use tandem_vehicle::LoggedFrame;
 
+use crate::args::RunArgs;
+use crate::failure::Failure;
 use crate::files::RunFiles;
+use crate::foxglove::Showing;
 use crate::percentiles::Spans;
 use crate::run_config::{LimitProfile, RunConfig};
 
@@ -75,11 +78,31 @@ pub(crate) struct Publishing {
     process: Child,
     over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
+    showing: Option<Showing>,
 }
 
 impl Publishing {
-    /// Starts the publisher before the run gets its own `/dev/shm`; `None` if it does not start.
-    pub(crate) fn prepare() -> Option<Self> {
+    /// Starts the publisher before the run gets its own `/dev/shm`, and what shows the run in
+    /// Foxglove; `None` if the publisher does not start.
+    ///
+    /// # Errors
+    /// [`Failure::Usage`] if the arguments ask for Foxglove, and it cannot be shown there.
+    pub(crate) fn prepare(args: &RunArgs) -> Result<Option<Self>, Failure> {
+        let showing = Showing::prepare(args)?;
+        match Self::start() {
+            Some(publishing) => Ok(Some(Self {
+                showing,
+                ..publishing
+            })),
+            None if showing.is_some() => {
+                let reason = anyhow!("the publisher, which Foxglove needs, does not start");
+                Err(Failure::Usage(reason))
+            }
+            None => Ok(None),
+        }
+    }
+
+    fn start() -> Option<Self> {
         let (to, from) = UnixDatagram::pair().ok()?;
         to.set_nonblocking(true).ok()?;
         let process = tandem_board_host::this_program()
@@ -97,22 +120,30 @@ impl Publishing {
             process,
             over: Arc::default(),
             thread: None,
+            showing: None,
         })
     }
 
-    /// Starts publishing this run.
-    pub(crate) fn follow(&mut self, run: &RunName, files: &RunFiles, config: &RunConfig) {
+    /// Creates the services of this run, before its processes start: so an observer can subscribe
+    /// before the first sample. `is_virtual`: the run's time is not that of this machine.
+    pub(crate) fn begin(&mut self, run: &RunName, config: &RunConfig, is_virtual: bool) {
+        let realtime = config.profile == LimitProfile::Rt && !is_virtual;
         let begin = Begin {
             run: run.to_string(),
             duration_s: config.duration_s,
-            realtime: config.profile == LimitProfile::Rt,
+            realtime,
         };
-        let Ok(begin) = serde_json::to_vec(&begin) else {
-            return;
-        };
-        if self.to.send(&begin).is_err() {
-            return;
+        if let Ok(begin) = serde_json::to_vec(&begin) {
+            // If the publisher has ended, nothing is published.
+            let _ = self.to.send(&begin);
         }
+        if let Some(showing) = &mut self.showing {
+            showing.begin(run, realtime, is_virtual);
+        }
+    }
+
+    /// Starts publishing what the run records in these files.
+    pub(crate) fn follow(&mut self, files: &RunFiles) {
         let (to, over) = (Arc::clone(&self.to), Arc::clone(&self.over));
         let recordings = [files.recording(), files.soc_time()].map(Growing::new);
         let named = std::thread::Builder::new().name("publish".to_owned());
@@ -135,6 +166,9 @@ impl Publishing {
                 let _ = self.process.wait();
             }
             std::thread::sleep(Duration::from_millis(5));
+        }
+        if let Some(showing) = self.showing.take() {
+            showing.end();
         }
     }
 }
@@ -177,9 +211,14 @@ impl Growing {
 
 /// Reads the recordings as they grow, and sends whole entries to the publisher.
 fn hand_over([mut recording, mut beside]: [Growing; 2], to: &UnixDatagram, over: &AtomicBool) {
-    while !over.load(Ordering::Relaxed) {
+    loop {
+        // Read once more after the end: the recording is complete then.
+        let is_over = over.load(Ordering::Relaxed);
         let more = recording.hand_over(to);
         beside.hand_over(to);
+        if is_over && more < READ_MAX {
+            return;
+        }
         if more < READ_MAX {
             let found = more > 0 && recording.left.is_empty();
             std::thread::sleep(if found { READ_INTERVAL } else { RETRY_INTERVAL });

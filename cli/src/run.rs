@@ -11,7 +11,7 @@ use tandem_board::{CoreAddress, Duration, SystemId};
 use tandem_board_host::injection::Injection;
 use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
-    CoreArgs, Ended, LaunchPlan, Launcher, Leftovers, Pinning, ProcessArgs, Schedule,
+    CoreArgs, Ended, LaunchPlan, Launcher, Leftovers, Pinning, ProcessArgs, RunName, Schedule,
 };
 use tandem_record::RunLog;
 use tandem_record::gap::Bounds;
@@ -48,7 +48,7 @@ const TIMERS_LATE: Duration = Duration::from_ms(2);
 /// Returns the [`Failure`] whose exit status the command documents.
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
-    let publishing = Publishing::prepare();
+    let publishing = Publishing::prepare(args)?;
     let mut launcher = Launcher::prepare()?;
     let (profile, granted) = grant(args, &checked, &launcher).map_err(Failure::Usage)?;
     let longest = (args.timing == Timing::Auto)
@@ -117,7 +117,11 @@ pub fn recorded<T: Send>(
     inject: impl FnOnce(Injection, &RunFiles) -> anyhow::Result<T> + Send,
 ) -> anyhow::Result<Recorded<T>> {
     let checked = Checked::new(args)?;
-    let publishing = Publishing::prepare();
+    let publishing = match Publishing::prepare(args) {
+        Ok(publishing) => publishing,
+        Err(Failure::Usage(error)) => return Err(error),
+        Err(_) => None,
+    };
     let mut launcher = Launcher::prepare()?;
     let (profile, granted) = grant(args, &checked, &launcher)?;
     let files = RunFiles::of(launcher.isolation().run());
@@ -173,11 +177,24 @@ pub fn run_elsewhere(
     let config = RunConfig::of(args, LimitProfile::Rt);
     let folder = tempfile::tempdir().context("a folder for the run's logs")?;
     let files = RunFiles::within(folder.path());
+    let mut publishing = Publishing::prepare(args)?;
+    if let Some(publishing) = &mut publishing {
+        let run = RunName::unique();
+        publishing.begin(&run, &config, true);
+        publishing.follow(&files);
+        if !args.quiet {
+            eprintln!("observers find it as {run}");
+        }
+    }
+    let driven = drive(&config, &files);
+    if let Some(publishing) = publishing {
+        publishing.end();
+    }
     let DrivenElsewhere {
         summary,
         ended,
         soc,
-    } = drive(&config, &files)?;
+    } = driven?;
     let updates = updates(args, &files);
     if !args.quiet {
         eprintln!("{summary}");
@@ -536,8 +553,11 @@ fn drive(
     config: &RunConfig,
     files: &RunFiles,
     launcher: &mut Launcher,
-    publishing: Option<Publishing>,
+    mut publishing: Option<Publishing>,
 ) -> anyhow::Result<Driven> {
+    if let Some(publishing) = &mut publishing {
+        publishing.begin(launcher.isolation().run(), config, false);
+    }
     let flash = SystemId::ALL.map(|system| match &checked.dflash {
         Some(folder) => folder.join(format!("{system}.dflash")),
         None => files.flash(system),
@@ -568,8 +588,7 @@ fn drive(
     let soc = start_soc(args, config, files)?;
     launcher.start(&plan, &command)?;
     let publishing = publishing.map(|mut publishing| {
-        let run = launcher.isolation().run();
-        publishing.follow(run, files, config);
+        publishing.follow(files);
         publishing
     });
     let progress = (!args.quiet).then(|| Progress::show(files.live(), config.duration_s));

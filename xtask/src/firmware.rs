@@ -244,6 +244,7 @@ fn test(root: &Path, quick: bool) -> Result<()> {
         "feeds",
         "network",
         "outputs",
+        "shown",
         "tasks",
         "time",
         "topics",

@@ -40,8 +40,9 @@ cosim: board peripherals
 board-qemu: board board-udp cosim peripherals
 ";
 /// The top crates, which may depend on all others.
-const ON_TOP: [&str; 6] = [
+const ON_TOP: [&str; 7] = [
     "tandem",
+    "tandem-foxglove",
     "tandem-fuzz",
     "tandem-lab",
     "tandem-tests",

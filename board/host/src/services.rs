@@ -319,16 +319,44 @@ impl Observer {
     /// # Errors
     /// If no run or more than one matches, or if the run does not publish.
     pub fn on(name: Option<&str>) -> Result<Self, ServiceError> {
-        let run = process_list::run_named(name).map_err(|error| ServiceError(error.to_string()))?;
+        match process_list::run_named(name) {
+            Ok(run) => Self::of(&run),
+            Err(error) => {
+                // A run in emulated machines has no processes that the list knows.
+                let run = name.and_then(|name| name.parse().ok());
+                let observer = run.and_then(|run| Self::of(&run).ok());
+                observer.ok_or_else(|| ServiceError(error.to_string()))
+            }
+        }
+    }
+
+    /// Observes this run, which may have no processes on this machine.
+    ///
+    /// # Errors
+    /// If the run does not publish.
+    pub fn of(run: &RunName) -> Result<Self, ServiceError> {
         let node = &ends::node()?;
         Ok(Self {
-            roles: ServiceSubscriber::on_node(node, &run)?,
-            vehicle: ServiceSubscriber::on_node(node, &run)?,
-            can: ServiceSubscriber::on_node(node, &run)?,
-            trace: ServiceSubscriber::on_node(node, &run)?,
-            time: ServiceSubscriber::on_node(node, &run)?,
-            run,
+            roles: ServiceSubscriber::on_node(node, run)?,
+            vehicle: ServiceSubscriber::on_node(node, run)?,
+            can: ServiceSubscriber::on_node(node, run)?,
+            trace: ServiceSubscriber::on_node(node, run)?,
+            time: ServiceSubscriber::on_node(node, run)?,
+            run: run.clone(),
         })
+    }
+
+    /// Returns how many samples this observer has lost: it polled too late.
+    #[must_use]
+    pub fn lost(&self) -> u64 {
+        let lost = [
+            self.roles.lost(),
+            self.vehicle.lost(),
+            self.can.lost(),
+            self.trace.lost(),
+            self.time.lost(),
+        ];
+        lost.into_iter().map(u64::from).sum()
     }
 
     /// Returns the name of the run.

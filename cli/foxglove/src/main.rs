@@ -1,0 +1,215 @@
+//! `tandem-foxglove`: shows a run in Foxglove, from the services that it publishes, as a file
+//! (MCAP) or live (WebSocket). `tandem foxglove` replaces itself by this program, and `tandem run
+//! --mcap` and `--foxglove` start it beside the run.
+#![forbid(unsafe_code)]
+
+mod channels;
+mod driving;
+mod scene;
+mod sinks;
+
+use std::io::{BufRead as _, Read as _, Write as _, stdin, stdout};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant, SystemTime};
+
+use anyhow::{Context as _, anyhow};
+use clap::{Parser, Subcommand};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use tandem::args::RunChoice;
+use tandem::failure::Failure;
+use tandem::foxglove::{Ready, RunToShow};
+use tandem_board_host::clock;
+use tandem_board_host::process_list;
+use tandem_board_host::services::Observer;
+
+use channels::Channels;
+use sinks::Sinks;
+
+/// Delay of the next poll of the services.
+const POLL: Duration = Duration::from_millis(10);
+/// Interval at which a program without a run beside it checks whether the run still exists.
+const CHECK: Duration = Duration::from_millis(500);
+
+/// The part of `tandem` that this program implements.
+#[derive(Debug, Parser)]
+#[command(name = "tandem", bin_name = "tandem", version, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Show a run in Foxglove: as an MCAP file, or live
+    #[command(after_help = EXAMPLES)]
+    Foxglove(Arguments),
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  tandem run --mcap run.mcap         records a run from its start
+  tandem run --foxglove              shows it live: open ws://localhost:8765 in Foxglove
+  tandem foxglove                    shows a run that drives already, until it ends, or Ctrl-C
+  tandem foxglove --mcap rest.mcap   records the rest of it
+
+In Foxglove, import the layout cli/foxglove/layout.json. docs/foxglove.md describes the channels.";
+
+#[derive(Debug, clap::Args)]
+struct Arguments {
+    /// The run
+    #[command(flatten)]
+    run: RunChoice,
+
+    /// Record to this file; an existing one must be an MCAP file
+    #[arg(long, value_name = "FILE")]
+    mcap: Option<PathBuf>,
+
+    /// Show live at this port of this machine; 0 chooses one [default: 8765 without --mcap]
+    #[arg(long, value_name = "PORT")]
+    port: Option<u16>,
+
+    /// `tandem run` names the run on stdin, and ends this program by closing it
+    #[arg(long, hide = true)]
+    beside: bool,
+}
+
+fn main() -> ExitCode {
+    let Command::Foxglove(args) = Cli::parse().command;
+    match run(&args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            failure.say();
+            failure.code()
+        }
+    }
+}
+
+fn run(args: &Arguments) -> Result<(), Failure> {
+    if args.beside {
+        return beside(args).map_err(Failure::Run);
+    }
+    let mut observer = Observer::on(args.run.name.as_deref()).map_err(Failure::usage)?;
+    let port = args.port.or(args.mcap.is_none().then_some(8765));
+    let context = foxglove::Context::new();
+    let mut channels = Channels::new(&context);
+    let sinks = Sinks::open(&context, args.mcap.as_deref(), port).map_err(Failure::Usage)?;
+    if let Some(port) = sinks.port() {
+        eprintln!("{}", tandem::foxglove::address(port));
+    }
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&stop)).context("Ctrl-C")?;
+    }
+    let run = observer.run().to_string();
+    // A run in emulated machines has a time of its own, and no processes in the list.
+    let is_listed = process_list::run_named(Some(&run)).is_ok();
+    channels.set_utc(is_listed.then(utc_ahead_of_run).flatten());
+    let mut checked = Instant::now();
+    let mut is_over = || {
+        if is_listed && checked.elapsed() > CHECK {
+            checked = Instant::now();
+            return process_list::run_named(Some(&run)).is_err();
+        }
+        stop.load(Ordering::Relaxed)
+    };
+    follow(&mut observer, &mut channels, &mut is_over);
+    let interrupted = stop.load(Ordering::Relaxed);
+    sinks
+        .close(&channels.figures(observer.lost()))
+        .map_err(Failure::Run)?;
+    match interrupted {
+        true => Err(Failure::CutShort),
+        false => Ok(()),
+    }
+}
+
+/// Shows the run that `tandem run` names, until it closes stdin.
+fn beside(args: &Arguments) -> anyhow::Result<()> {
+    // Ctrl-C ends the run, and the run ends this program.
+    let context = foxglove::Context::new();
+    let mut channels = Channels::new(&context);
+    let opened = Sinks::open(&context, args.mcap.as_deref(), args.port);
+    let ready = match &opened {
+        Ok(sinks) => Ready::At(sinks.port()),
+        Err(error) => Ready::Refused(format!("{error:#}")),
+    };
+    let line = serde_json::to_string(&ready).context("an answer")?;
+    writeln!(stdout(), "{line}").context("stdout")?;
+    let Ok(sinks) = opened else {
+        return Ok(());
+    };
+    let mut line = String::new();
+    stdin().lock().read_line(&mut line).context("stdin")?;
+    if line.is_empty() {
+        // The run did not start.
+        return sinks.discard();
+    }
+    let begin: RunToShow = serde_json::from_str(&line).context("the first line")?;
+    if !begin.realtime {
+        // All processes of the run have precedence.
+        let _ = rustix::process::nice(10);
+    }
+    let over = end_of_input();
+    let run = begin.run.parse().context("the name of the run")?;
+    let Some(mut observer) = subscribe(&run, &over) else {
+        return sinks.discard();
+    };
+    channels.set_utc((!begin.is_virtual).then(utc_ahead_of_run).flatten());
+    follow(&mut observer, &mut channels, &mut || {
+        over.load(Ordering::Relaxed)
+    });
+    match channels.is_empty() {
+        true => sinks.discard(),
+        false => sinks.close(&channels.figures(observer.lost())),
+    }
+}
+
+/// Subscribes as soon as the publisher of the run has created its services; `None` if the run ends
+/// before.
+fn subscribe(run: &tandem_board_host::RunName, over: &AtomicBool) -> Option<Observer> {
+    while !over.load(Ordering::Relaxed) {
+        if let Ok(observer) = Observer::of(run) {
+            return Some(observer);
+        }
+        std::thread::sleep(POLL);
+    }
+    None
+}
+
+/// Shows what the run publishes until it is over, and then what is left.
+fn follow(observer: &mut Observer, channels: &mut Channels, is_over: &mut dyn FnMut() -> bool) {
+    loop {
+        let over = is_over();
+        observer.poll(&mut |news| channels.take(&news));
+        if over {
+            return;
+        }
+        std::thread::sleep(POLL);
+    }
+}
+
+/// Returns what becomes true when stdin is closed.
+fn end_of_input() -> Arc<AtomicBool> {
+    let over = Arc::new(AtomicBool::new(false));
+    let ends = Arc::clone(&over);
+    std::thread::spawn(move || {
+        let _ = stdin().lock().read_to_end(&mut Vec::new());
+        ends.store(true, Ordering::Relaxed);
+    });
+    over
+}
+
+/// Returns how much later UTC is than the clock of a run on this machine, ns.
+fn utc_ahead_of_run() -> Option<u64> {
+    let today = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+    let ns = u64::try_from(today.ok()?.as_nanos()).ok()?;
+    ns.checked_sub(clock::now().as_ns())
+}
+
+/// Makes a usage error of a problem with a file.
+fn at(path: &std::path::Path, problem: impl std::fmt::Display) -> anyhow::Error {
+    anyhow!("--mcap {}: {problem}", path.display())
+}
