@@ -2,10 +2,9 @@
 
 use std::io;
 use std::net::UdpSocket;
-use std::os::fd::AsRawFd as _;
+use std::os::fd::{AsFd, AsRawFd as _};
 use std::sync::{Mutex, PoisonError};
 
-use rustix::event::{PollFd, PollFlags, poll};
 use tandem_board::{Channel, Datagram, Instant, NetworkAddress, NetworkFull, Recipient};
 use tandem_board_udp::{UdpChannel, UdpPlace};
 
@@ -78,10 +77,9 @@ impl StampedUdp {
 
     /// Waits for a datagram until this time, or until a signal.
     pub fn wait(&self, until: Instant) {
-        let span = clock::timespec(until.since(clock::now()).as_ns());
-        let mut sockets = self.udp.sockets().map(|it| PollFd::new(it, PollFlags::IN));
+        let sockets = self.udp.sockets().map(AsFd::as_fd);
         // After an error the caller finds no datagram.
-        let _ = poll(&mut sockets, Some(&span));
+        let _ = clock::wait_for(sockets, until.since(clock::now()));
     }
 }
 

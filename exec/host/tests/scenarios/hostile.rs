@@ -1,6 +1,7 @@
 //! What hostile or unlucky processes do to a launcher: none of it ends the platform, or keeps it
 //! from ending.
 
+use std::io::{Read as _, Write as _};
 use std::os::linux::net::SocketAddrExt as _;
 use std::os::unix::net::{SocketAddr, UnixStream};
 use std::os::unix::process::CommandExt as _;
@@ -17,6 +18,10 @@ pub(crate) const ALL: &[(&str, fn())] = &[
     ("process_that_left_its_group", process_that_left_its_group),
     ("reports_during_slow_starts", reports_during_slow_starts),
     ("restarts_without_a_pause", restarts_without_a_pause),
+    (
+        "requests_that_wait_are_limited",
+        requests_that_wait_are_limited,
+    ),
     ("manifest_behind_a_link", manifest_behind_a_link),
 ];
 
@@ -185,6 +190,36 @@ fn restarts_without_a_pause() {
     rig.wait_until("restarts", |rig| rig.events(&["restart 50"]).len() > 1);
     rig.stop();
     assert_eq!(rig.end().code(), Some(0), "{}", rig.story());
+}
+
+/// Requests for a run target that is not reached wait, but not without a limit: each holds a
+/// descriptor.
+fn requests_that_wait_are_limited() {
+    let mut rig = Rig::start(&[
+        head(""),
+        process("calm", &["ready", "pause"], ""),
+        process("never-ready", &["pause"], ""),
+        target("all", &["calm"]),
+        target("never", &["calm", "never-ready"]),
+    ]);
+    all_ready(&rig);
+    let address = control_socket(rig.launcher_pid());
+    let address = SocketAddr::from_abstract_name(address).unwrap();
+    let mut asking: Vec<_> = (0..64)
+        .map(|_| UnixStream::connect_addr(&address).unwrap())
+        .collect();
+    asking
+        .iter_mut()
+        .for_each(|it| it.write_all(b"target never\n").unwrap());
+    assert_eq!(rig.ask("target never"), "busy");
+    assert!(rig.ask("ps").contains("calm"));
+    rig.stop();
+    assert_eq!(rig.end().code(), Some(0), "{}", rig.story());
+    for mut stream in asking {
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        assert_eq!(answer, "all ends\n");
+    }
 }
 
 /// The commands of the clean-up are found where the manifest lies, also if a link leads to it.
