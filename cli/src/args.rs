@@ -102,6 +102,8 @@ pub enum Command {
     Dflash(DflashArgs),
     /// List the built-in scenarios
     Scenarios,
+    /// Convert the CAN log of a run to a format of Vector's tools: ASC or BLF
+    CanLog(PassedArguments),
     /// Drive a folder of scenarios in virtual time and judge each drive
     Judge(PassedArguments),
     /// Measure the latency between cores, beside the hardware's floor and other libraries

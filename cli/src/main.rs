@@ -36,7 +36,8 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
     match command {
         Command::Bench(_) => become_program(Program::Bench, words),
         Command::Top(_) => become_program(Program::Top, words),
-        Command::Judge(_)
+        Command::CanLog(_)
+        | Command::Judge(_)
         | Command::Flash(_)
         | Command::Bootloader(_)
         | Command::Sim(_)

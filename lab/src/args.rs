@@ -34,6 +34,8 @@ pub(crate) enum Command {
     /// Give the time to a run; internal, started by `tandem run --grandmaster`
     #[command(hide = true)]
     Grandmaster(GrandmasterArgs),
+    /// Convert the CAN log of a run to a format of Vector's tools: ASC or BLF
+    CanLog(CanLogArgs),
     /// Drive a folder of scenarios in virtual time and judge each drive
     Judge(JudgeArgs),
     /// Try faults on the control cores of both systems, in virtual time
@@ -81,6 +83,19 @@ pub(crate) enum ThesisBoard {
     Sim,
     /// Firmware in emulated RISC-V machines, one for each system: an instruction takes 1 ns
     Qemu,
+}
+
+/// Arguments of `tandem can-log`.
+#[derive(Debug, Args)]
+pub(crate) struct CanLogArgs {
+    /// The log in candump format, or the folder of a report that contains one
+    #[arg(value_name = "LOG")]
+    pub(crate) log: PathBuf,
+
+    /// The file to write; its name ends in .asc or .blf. Each bus of the log is a channel: the
+    /// first is channel 1
+    #[arg(value_name = "FILE")]
+    pub(crate) file: PathBuf,
 }
 
 /// Arguments of `tandem judge`.

@@ -5,6 +5,7 @@
 mod args;
 mod boot_args;
 mod boot_demo;
+mod can_log;
 mod chaos;
 mod chaos_args;
 mod emulated;
@@ -41,6 +42,7 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Publish => publish::run().map_err(Failure::Run),
         Command::Flash(args) => flash_command::run(&args),
         Command::Bootloader(args) => flash_command::bootloader(&args).map_err(Failure::Run),
+        Command::CanLog(args) => can_log::run(&args),
         Command::Judge(args) => judge::run(&args),
         Command::Sim(args) => sim::run(&args),
         Command::Chaos(args) => chaos::run(&args),
