@@ -124,6 +124,10 @@ pub(crate) struct JudgeArgs {
     /// Write an overview page with a picture of each drive to this file
     #[arg(long, value_name = "FILE")]
     pub(crate) html: Option<PathBuf>,
+
+    /// Write each drive as a CommonRoad solution to this folder: solution_NAME for the scenario NAME
+    #[arg(long, value_name = "DIR")]
+    pub(crate) solutions: Option<PathBuf>,
 }
 
 /// Arguments of `tandem rtos-demo`.

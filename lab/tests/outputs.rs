@@ -42,6 +42,10 @@ fn tandem(folder: &Path, arguments: &[&str]) -> Output {
 fn oracle(folder: &Path, arguments: &[&str]) -> String {
     let mut command = Command::new("python3");
     command.arg(SCRIPT).args(arguments).current_dir(folder);
+    // The checker of solutions needs an older commonroad-io than the reader of scenarios.
+    if let Some(older) = std::env::var_os("TANDEM_COMMONROAD_CHECKER") {
+        command.env("PYTHONPATH", older);
+    }
     let output = command.output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{arguments:?}: {said}");
@@ -126,4 +130,64 @@ fn what_is_no_log_is_not_converted() {
         assert!(said.contains(word), "{arguments:?}: {said}");
     }
     assert_eq!(fs::read_dir(folder).unwrap().count(), 3);
+}
+
+/// commonroad-io reads each drive as a solution, and the drivability checker finds it feasible,
+/// without a collision, and at the goal.
+#[test]
+fn the_drivability_checker_accepts_drives() {
+    let test = "the_drivability_checker_accepts_drives";
+    if !python_or_skip(test, "commonroad", "TANDEM_REQUIRE_COMMONROAD") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::create_dir(folder.join("files")).unwrap();
+    // Shorter steps, and a goal that is reached after 6 s.
+    let text = include_str!("../../vehicle/scenarios/stop-and-go.xml")
+        .replace("timeStepSize=\"0.5\"", "timeStepSize=\"0.1\"");
+    let (before, goal) = text.split_once("<goalState>").unwrap();
+    let start = "<intervalStart>0</intervalStart>";
+    let later = goal.replacen(start, "<intervalStart>60</intervalStart>", 1);
+    fs::write(
+        folder.join("files/later.xml"),
+        format!("{before}<goalState>{later}"),
+    )
+    .unwrap();
+    fs::write(
+        folder.join("files/none.xml"),
+        text.replace("<planningProblem id=\"1\"", "<planningProblem"),
+    )
+    .unwrap();
+    let judge = ["judge", "files", "--duration", "10s"];
+    let files = ["--solutions", "solutions", "--json", "judged.json"];
+    let judged = tandem(folder, &[&judge[..], &files].concat());
+    assert!(judged.status.success(), "{judged:?}");
+    let names: Vec<_> = fs::read_dir(folder.join("solutions")).unwrap().collect();
+    assert_eq!(names.len(), 1, "{names:?}");
+    let figures = fs::read_to_string(folder.join("judged.json")).unwrap();
+    assert!(figures.contains("no solution: the planning problem has no id"));
+
+    let arguments = [
+        "solution",
+        "files/later.xml",
+        "solutions/solution_later.xml",
+    ];
+    let said = oracle(folder, &arguments);
+    let lines: Vec<&str> = said.lines().collect();
+    let [benchmark, count, verdict @ ..] = &lines[..] else {
+        panic!("{said}");
+    };
+    assert!(benchmark.starts_with("ST2:JB1:ZAM_Tandem-"), "{said}");
+    assert_eq!(*count, "61");
+    let required = std::env::var_os("TANDEM_REQUIRE_SOLUTION_CHECKER").is_some_and(|it| it == "1");
+    match verdict {
+        [why] if why.starts_with("checker: ") && !required => {
+            let _ = writeln!(std::io::stderr(), "{test}: no verdict: {why}");
+        }
+        _ => {
+            assert_eq!(verdict.len(), 5, "{said}");
+            assert!(verdict.iter().all(|it| it.ends_with(": yes")), "{said}");
+        }
+    }
 }
