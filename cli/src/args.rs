@@ -129,6 +129,10 @@ pub enum Command {
     Flash(PassedArguments),
     /// Run the bootloader of one system on a flash file, and print what it would start
     Bootloader(PassedArguments),
+    /// Print the completions of all commands for a shell
+    Completions(PassedArguments),
+    /// Write the man pages of all commands to a folder
+    Man(PassedArguments),
 }
 
 /// Arguments of `tandem boot-demo`.

@@ -37,6 +37,8 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         Command::Bench(_) => become_program(Program::Bench, words),
         Command::Top(_) => become_program(Program::Top, words),
         Command::CanLog(_)
+        | Command::Completions(_)
+        | Command::Man(_)
         | Command::Judge(_)
         | Command::Flash(_)
         | Command::Bootloader(_)

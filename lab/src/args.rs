@@ -55,6 +55,30 @@ pub(crate) enum Command {
     Flash(FlashArgs),
     /// Run the bootloader of one system on a flash file, and print what it would start
     Bootloader(BootloaderArgs),
+    /// Print the completions of all commands for a shell
+    Completions(CompletionsArgs),
+    /// Write the man pages of all commands to a folder
+    Man(ManArgs),
+}
+
+/// Arguments of `tandem completions`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  tandem completions bash > ~/.local/share/bash-completion/completions/tandem
+  tandem completions fish > ~/.config/fish/completions/tandem.fish")]
+pub(crate) struct CompletionsArgs {
+    /// The shell
+    #[arg(value_enum)]
+    pub(crate) shell: clap_complete::Shell,
+}
+
+/// Arguments of `tandem man`.
+#[derive(Debug, Args)]
+pub(crate) struct ManArgs {
+    /// The folder, created if needed; `man -l DIR/tandem-run.1` shows one of its pages
+    #[arg(value_name = "DIR")]
+    pub(crate) folder: PathBuf,
 }
 
 /// Arguments of `tandem thesis`.
@@ -125,7 +149,7 @@ pub(crate) struct JudgeArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) html: Option<PathBuf>,
 
-    /// Write each drive as a CommonRoad solution to this folder: solution_NAME for the scenario NAME
+    /// Write each drive as a CommonRoad solution to this folder: solution_NAME for the file NAME
     #[arg(long, value_name = "DIR")]
     pub(crate) solutions: Option<PathBuf>,
 }

@@ -191,3 +191,50 @@ fn the_drivability_checker_accepts_drives() {
         }
     }
 }
+
+/// bash accepts its completions, which offer the commands and the arguments of those that other
+/// programs implement; there is a man page of each.
+#[test]
+fn bash_completes_the_commands() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    for shell in ["zsh", "fish", "elvish", "powershell"] {
+        let printed = tandem(folder, &["completions", shell]);
+        assert!(printed.status.success() && !printed.stdout.is_empty());
+    }
+    assert_eq!(tandem(folder, &["completions", "x"]).status.code(), Some(2));
+    let printed = tandem(folder, &["completions", "bash"]);
+    fs::write(folder.join("tandem.bash"), &printed.stdout).unwrap();
+    let bash = |script: &str| {
+        let mut bash = Command::new("bash");
+        let output = bash.args(["-c", script]).current_dir(folder).output();
+        let output = output.unwrap();
+        assert!(output.status.success(), "{script}: {output:?}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    bash("bash -n tandem.bash");
+    for (words, expected) in [
+        ("tandem ''", "run"),
+        ("tandem ju", "judge"),
+        ("tandem judge --so", "--solutions"),
+        ("tandem top --r", "--run"),
+        ("tandem run --board q", "qemu"),
+    ] {
+        let script = format!(
+            "source tandem.bash; COMP_WORDS=({words}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); \
+             _tandem tandem \"${{COMP_WORDS[COMP_CWORD]}}\" \"${{COMP_WORDS[COMP_CWORD - 1]}}\"; \
+             printf '%s\\n' \"${{COMPREPLY[@]}}\""
+        );
+        let offered = bash(&script);
+        assert!(
+            offered.lines().any(|it| it == expected),
+            "{words}: {offered}"
+        );
+    }
+    assert!(tandem(folder, &["man", "pages"]).status.success());
+    let page = |name: &str| fs::read_to_string(folder.join("pages").join(name)).unwrap();
+    assert!(page("tandem.1").contains("judge"));
+    assert!(page("tandem-judge.1").contains("solutions"));
+    assert!(page("tandem-dflash-init.1").contains("master"));
+    assert!(!folder.join("pages/tandem-publish.1").exists());
+}
