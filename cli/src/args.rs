@@ -104,6 +104,8 @@ pub enum Command {
     Dflash(DflashArgs),
     /// List the built-in scenarios
     Scenarios,
+    /// Convert the CAN log of a run to a format of Vector's tools: ASC or BLF
+    CanLog(PassedArguments),
     /// Drive a folder of scenarios in virtual time and judge each drive
     Judge(PassedArguments),
     /// Measure the latency between cores, beside the hardware's floor and other libraries
@@ -129,6 +131,10 @@ pub enum Command {
     Flash(PassedArguments),
     /// Run the bootloader of one system on a flash file, and print what it would start
     Bootloader(PassedArguments),
+    /// Print the completions of all commands for a shell
+    Completions(PassedArguments),
+    /// Write the man pages of all commands to a folder
+    Man(PassedArguments),
 }
 
 /// Arguments of `tandem boot-demo`.

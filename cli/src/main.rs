@@ -37,7 +37,10 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         Command::Bench(_) => become_program(Program::Bench, words),
         Command::Foxglove(_) => become_program(Program::Foxglove, words),
         Command::Top(_) => become_program(Program::Top, words),
-        Command::Judge(_)
+        Command::CanLog(_)
+        | Command::Completions(_)
+        | Command::Man(_)
+        | Command::Judge(_)
         | Command::Flash(_)
         | Command::Bootloader(_)
         | Command::Sim(_)

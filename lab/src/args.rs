@@ -34,6 +34,8 @@ pub(crate) enum Command {
     /// Give the time to a run; internal, started by `tandem run --grandmaster`
     #[command(hide = true)]
     Grandmaster(GrandmasterArgs),
+    /// Convert the CAN log of a run to a format of Vector's tools: ASC or BLF
+    CanLog(CanLogArgs),
     /// Drive a folder of scenarios in virtual time and judge each drive
     Judge(JudgeArgs),
     /// Try faults on the control cores of both systems, in virtual time
@@ -53,6 +55,30 @@ pub(crate) enum Command {
     Flash(FlashArgs),
     /// Run the bootloader of one system on a flash file, and print what it would start
     Bootloader(BootloaderArgs),
+    /// Print the completions of all commands for a shell
+    Completions(CompletionsArgs),
+    /// Write the man pages of all commands to a folder
+    Man(ManArgs),
+}
+
+/// Arguments of `tandem completions`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  tandem completions bash > ~/.local/share/bash-completion/completions/tandem
+  tandem completions fish > ~/.config/fish/completions/tandem.fish")]
+pub(crate) struct CompletionsArgs {
+    /// The shell
+    #[arg(value_enum)]
+    pub(crate) shell: clap_complete::Shell,
+}
+
+/// Arguments of `tandem man`.
+#[derive(Debug, Args)]
+pub(crate) struct ManArgs {
+    /// The folder, created if needed; `man -l DIR/tandem-run.1` shows one of its pages
+    #[arg(value_name = "DIR")]
+    pub(crate) folder: PathBuf,
 }
 
 /// Arguments of `tandem thesis`.
@@ -83,6 +109,19 @@ pub(crate) enum ThesisBoard {
     Qemu,
 }
 
+/// Arguments of `tandem can-log`.
+#[derive(Debug, Args)]
+pub(crate) struct CanLogArgs {
+    /// The log in candump format, or the folder of a report that contains one
+    #[arg(value_name = "LOG")]
+    pub(crate) log: PathBuf,
+
+    /// The file to write; its name ends in .asc or .blf. Each bus of the log is a channel: the
+    /// first is channel 1
+    #[arg(value_name = "FILE")]
+    pub(crate) file: PathBuf,
+}
+
 /// Arguments of `tandem judge`.
 #[derive(Debug, Args)]
 pub(crate) struct JudgeArgs {
@@ -109,6 +148,10 @@ pub(crate) struct JudgeArgs {
     /// Write an overview page with a picture of each drive to this file
     #[arg(long, value_name = "FILE")]
     pub(crate) html: Option<PathBuf>,
+
+    /// Write each drive as a CommonRoad solution to this folder: solution_NAME for the file NAME
+    #[arg(long, value_name = "DIR")]
+    pub(crate) solutions: Option<PathBuf>,
 }
 
 /// Arguments of `tandem rtos-demo`.

@@ -5,8 +5,10 @@
 mod args;
 mod boot_args;
 mod boot_demo;
+mod can_log;
 mod chaos;
 mod chaos_args;
+mod command_line;
 mod emulated;
 mod fault_file;
 mod flash_command;
@@ -41,6 +43,9 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Publish => publish::run().map_err(Failure::Run),
         Command::Flash(args) => flash_command::run(&args),
         Command::Bootloader(args) => flash_command::bootloader(&args).map_err(Failure::Run),
+        Command::CanLog(args) => can_log::run(&args),
+        Command::Completions(args) => command_line::print_completions(&args),
+        Command::Man(args) => command_line::write_pages(&args),
         Command::Judge(args) => judge::run(&args),
         Command::Sim(args) => sim::run(&args),
         Command::Chaos(args) => chaos::run(&args),

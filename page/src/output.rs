@@ -108,10 +108,11 @@ impl OutputFile {
     ///
     /// # Errors
     /// [`OutputError`], such as a full disk.
-    pub fn write(self, text: &str) -> Result<(), OutputError> {
+    pub fn write(self, content: &(impl AsRef<[u8]> + ?Sized)) -> Result<(), OutputError> {
+        let content = content.as_ref();
         self.0.write(|target| match target {
-            Target::Present(file) => overwrite(file, text),
-            Target::Absent(folder, name) => create(&folder, &name, text),
+            Target::Present(file) => overwrite(file, content),
+            Target::Absent(folder, name) => create(&folder, &name, content),
         })
     }
 }
@@ -147,7 +148,7 @@ impl OutputFolder {
                 }
             };
             for (name, text) in files {
-                create(&folder, name.as_ref(), text)?;
+                create(&folder, name.as_ref(), text.as_bytes())?;
             }
             Ok(())
         })
@@ -205,18 +206,18 @@ fn open_folder(path: &Path) -> Result<File, String> {
     tried.map_err(|error| format!("cannot write in {}: {}", path.display(), error))
 }
 
-fn overwrite(mut file: File, text: &str) -> io::Result<()> {
+fn overwrite(mut file: File, content: &[u8]) -> io::Result<()> {
     // A device has no length that could be set.
     if file.metadata()?.is_file() {
         file.set_len(0)?;
     }
-    file.write_all(text.as_bytes())
+    file.write_all(content)
 }
 
-fn create(folder: &File, name: &std::ffi::OsStr, text: &str) -> io::Result<()> {
+fn create(folder: &File, name: &std::ffi::OsStr, content: &[u8]) -> io::Result<()> {
     let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::TRUNC | OFlags::CLOEXEC;
     let file: OwnedFd = openat(folder, name, flags, Mode::from_raw_mode(0o666))?;
-    let written = File::from(file).write_all(text.as_bytes());
+    let written = File::from(file).write_all(content);
     written.inspect_err(|_| {
         // The caller gets the write error, so an error of this removal is ignored.
         let _ = unlinkat(folder, name, AtFlags::empty());

@@ -102,6 +102,21 @@ pub struct Obstacle {
     pub states: Vec<TimedState>,
 }
 
+/// What a solution of a file's first planning problem must repeat of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PlanningProblem {
+    /// Its id; `None` if the file gives none.
+    pub id: Option<i64>,
+    /// `commonRoadVersion` of the file.
+    pub version: String,
+    /// The ego's heading at the start as the file has it, rad: not wrapped.
+    pub yaw: f64,
+    /// The step at which the ego starts.
+    pub first_step: i64,
+    /// Time between two steps, s.
+    pub step_s: f64,
+}
+
 /// The content of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoadMap {
@@ -117,6 +132,8 @@ pub struct RoadMap {
     pub goals: Vec<Goal>,
     /// Time between two steps of the file, s.
     pub step_s: f64,
+    /// What a solution must repeat.
+    pub problem: PlanningProblem,
     /// Parts of the file that are not used, with reasons.
     pub warnings: Vec<String>,
 }
@@ -233,11 +250,19 @@ impl<'a, 'input> Reader<'a, 'input> {
             ));
         }
         let problem = self.child(root, "planningProblem")?;
-        let ego = self.state(self.child(problem, "initialState")?, step_s, None)?;
+        let start = self.child(problem, "initialState")?;
+        let ego = self.state(start, step_s, None)?;
         if ego.t.abs() > TIME_MAX {
             return Err(self.error(problem, "starts later than a day", "give time steps"));
         }
         let goals = self.goals(problem, step_s, ego.t, &lanelets);
+        let problem = PlanningProblem {
+            id: self.id(problem, "id").ok(),
+            version: version.to_owned(),
+            yaw: self.value(self.child(start, "orientation")?)?,
+            first_step: (ego.t / step_s).round() as i64,
+            step_s,
+        };
         let mut obstacles = Vec::new();
         for node in root.children().filter(Node::is_element) {
             let is_static = match node.tag_name().name() {
@@ -276,6 +301,7 @@ impl<'a, 'input> Reader<'a, 'input> {
             ego: TimedState { t: 0.0, ..ego },
             goals,
             step_s,
+            problem,
             warnings: self.take_warnings(),
         })
     }

@@ -4,7 +4,7 @@ use std::io::Read as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::commonroad::{self, Goal, Obstacle, RoadMap};
+use crate::commonroad::{self, Goal, Obstacle, PlanningProblem, RoadMap};
 use crate::error::ScenarioError;
 use crate::geometry::{Footprint, Pose};
 use crate::plant::BMW_320I;
@@ -70,6 +70,7 @@ pub struct Scenario {
     pub(crate) goals: Arc<[Goal]>,
     pub(crate) warnings: Vec<String>,
     outside: Option<String>,
+    problem: PlanningProblem,
     pub(crate) start: Pose,
     pub(crate) start_speed: f64,
     pub(crate) set_speed: f64,
@@ -190,6 +191,7 @@ impl Scenario {
             goals: map.goals.into(),
             warnings,
             outside,
+            problem: map.problem,
             start,
             start_speed,
             set_speed,
@@ -200,6 +202,12 @@ impl Scenario {
     #[must_use]
     pub fn goals(&self) -> &[Goal] {
         &self.goals
+    }
+
+    /// Returns what a solution of the file must repeat of it.
+    #[must_use]
+    pub fn planning_problem(&self) -> &PlanningProblem {
+        &self.problem
     }
 
     /// Returns why the driving functions cannot drive this scenario: it starts outside of their

@@ -232,6 +232,12 @@ impl World {
         world
     }
 
+    /// Returns the state of the ego's plant.
+    #[must_use]
+    pub fn plant(&self) -> &plant::PlantState {
+        &self.state
+    }
+
     /// Sets the driver's actions in this run.
     pub fn set_driver(&mut self, habit: Habit) {
         self.driver = Driver::new(habit);

@@ -1,7 +1,6 @@
 //! One scenario, driven by both systems in virtual time.
 
 use std::cell::RefCell;
-use std::path::Path;
 use std::rc::Rc;
 
 use serde::Serialize;
@@ -14,6 +13,9 @@ use tandem_sim::drive::poller;
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road, RoadLane};
 use tandem_vehicle::{Scenario, World, WorldMetrics};
+
+use super::solution::Track;
+use crate::args::JudgeArgs;
 
 /// Intervals between points in the picture: of the ego's path, and of the road, m.
 const PATH_STEP: Duration = Duration::from_ms(200);
@@ -89,6 +91,9 @@ pub(crate) struct Judgement {
     pub(crate) warnings: Vec<String>,
     #[serde(skip)]
     pub(crate) picture: Picture,
+    /// The drive as a CommonRoad solution, if one was requested.
+    #[serde(skip)]
+    pub(crate) solution: Option<String>,
 }
 
 /// The content of the page's picture of a drive, m.
@@ -102,9 +107,9 @@ pub(crate) struct Picture {
     pub(crate) hit_at: Option<Vec2>,
 }
 
-/// Drives the file for at most `duration_s`, and judges the drive.
-pub(crate) fn judge(folder: &Path, file: &str, duration_s: f64, seed: u64) -> Judgement {
-    let path = folder.join(file);
+/// Drives the file of the folder, and judges the drive.
+pub(crate) fn judge(args: &JudgeArgs, file: &str) -> Judgement {
+    let path = args.folder.join(file);
     let scenario = match Scenario::read(&path) {
         Ok(scenario) => scenario,
         Err(error) => return refused(file, error.to_string()),
@@ -115,8 +120,11 @@ pub(crate) fn judge(folder: &Path, file: &str, duration_s: f64, seed: u64) -> Ju
             format!("outside the operational design domain: {reason}"),
         );
     }
+    let seed = args.seed;
     let world = World::new(&scenario, tandem_vehicle::WorldConfig { seed });
-    let (world, mut picture) = drive(world, duration_s, seed);
+    let problem = scenario.planning_problem();
+    let track = args.solutions.as_ref().map(|_| Track::new(problem.step_s));
+    let (world, mut picture, track) = drive(world, args.duration, seed, track);
     let world = world.borrow();
     picture.lanes = lanes(world.road(), &picture.path);
     let now = world.snapshot();
@@ -138,13 +146,18 @@ pub(crate) fn judge(folder: &Path, file: &str, duration_s: f64, seed: u64) -> Ju
         ),
         _ => String::new(),
     };
+    let mut warnings = scenario.warnings().to_vec();
+    let until_s = metrics.goal_reached_s.unwrap_or(now.time_s);
+    let solution = track.map(|track| track.solution(scenario.name(), problem, until_s));
+    let solution = solution.and_then(|it| it.map_err(|why| warnings.push(why)).ok());
     Judgement {
         verdict,
         reason,
+        solution,
         goal_reached: has_goal.then_some(metrics.goal_reached_s.is_some()),
         goal_missed: missed,
         driven_s: now.time_s,
-        warnings: scenario.warnings().to_vec(),
+        warnings,
         picture,
         ..figures(file, &metrics)
     }
@@ -188,11 +201,18 @@ fn figures(file: &str, metrics: &WorldMetrics) -> Judgement {
         distance_m: metrics.distance_m,
         warnings: vec![],
         picture: Picture::default(),
+        solution: None,
     }
 }
 
-/// Drives with both systems in the world until `duration_s` of its time have passed.
-fn drive(world: World, duration_s: f64, seed: u64) -> (Rc<RefCell<World>>, Picture) {
+/// Drives with both systems in the world until `duration_s` of its time have passed, and appends to
+/// the track.
+fn drive(
+    world: World,
+    duration_s: f64,
+    seed: u64,
+    track: Option<Track>,
+) -> (Rc<RefCell<World>>, Picture, Option<Track>) {
     let config = Config {
         seed,
         ..Config::default()
@@ -200,9 +220,15 @@ fn drive(world: World, duration_s: f64, seed: u64) -> (Rc<RefCell<World>>, Pictu
     let shared = Rc::new(RefCell::new(world));
     let mut pair = SimPair::new(config, |board| poller(board, tandem_cores::Config::rt()));
     let ticked = Rc::clone(&shared);
+    let track = Rc::new(RefCell::new(track));
+    let appended = Rc::clone(&track);
     pair.set_world(move |tick| {
         let at = tick.at;
-        ticked.borrow_mut().run_period(at, tick, &mut |_| {});
+        let mut world = ticked.borrow_mut();
+        world.run_period(at, tick, &mut |_| {});
+        if let Some(track) = &mut *appended.borrow_mut() {
+            track.see(world.snapshot().time_s, world.plant());
+        }
     });
     for system in SystemId::ALL {
         pair.power_on(system);
@@ -224,7 +250,8 @@ fn drive(world: World, duration_s: f64, seed: u64) -> (Rc<RefCell<World>>, Pictu
             break;
         }
     }
-    (shared, picture)
+    let track = track.take();
+    (shared, picture, track)
 }
 
 /// Returns the borders of the lanes around the path.

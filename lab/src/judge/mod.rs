@@ -2,13 +2,14 @@
 
 mod drive;
 mod page;
+mod solution;
 
 use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::{Context as _, bail};
 use drive::{Judgement, Verdict};
-use tandem_page::output::OutputFile;
+use tandem_page::output::{OutputFile, OutputFolder};
 use tandem_record::verdict::Rule;
 
 use crate::args::JudgeArgs;
@@ -28,6 +29,9 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     ];
     let places = OutputFile::check_all(places);
     let [json_to, html_to] = places.map_err(Failure::usage)?;
+    let folder = args.solutions.as_deref();
+    let folder = folder.map(|folder| OutputFolder::check("--solutions", folder));
+    let solutions_to = folder.transpose().map_err(Failure::usage)?;
     let judged = all(args, &files)?;
     tandem::print(&table(&judged))?;
     if let Some(place) = json_to {
@@ -35,6 +39,13 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     }
     if let Some(place) = html_to {
         place.write(&page::page(&args.folder, &judged))?;
+    }
+    if let Some(place) = solutions_to {
+        let solved = judged.iter().filter_map(|it| {
+            let text = it.solution.clone()?;
+            Some((format!("solution_{}", it.file), text))
+        });
+        place.fill(&solved.collect::<Vec<_>>())?;
     }
     let caused: Vec<String> = judged
         .iter()
@@ -69,7 +80,7 @@ fn all(args: &JudgeArgs, files: &[String]) -> anyhow::Result<Vec<Judgement>> {
     let bar = work::bar(files.len() as u64, "{bar:30} {pos}/{len} {msg}")?;
     let judged = work::on_threads(args.jobs, files.iter(), |file| {
         bar.set_message(file.clone());
-        let judgement = drive::judge(&args.folder, file, args.duration, args.seed);
+        let judgement = drive::judge(args, file);
         bar.inc(1);
         Ok(judgement)
     });
@@ -194,10 +205,17 @@ mod tests {
             std::fs::write(folder.path().join(name), text).unwrap();
         }
         let files = scenarios(folder.path()).unwrap();
-        let judged: Vec<Judgement> = files
-            .iter()
-            .map(|file| drive::judge(folder.path(), file, 1.0, 1))
-            .collect();
+        let args = JudgeArgs {
+            folder: folder.path().to_owned(),
+            duration: 1.0,
+            seed: 1,
+            jobs: None,
+            json: None,
+            html: None,
+            solutions: None,
+        };
+        let judged = files.iter().map(|file| drive::judge(&args, file));
+        let judged: Vec<Judgement> = judged.collect();
         let verdicts: Vec<Verdict> = judged.iter().map(|it| it.verdict).collect();
         let refused = Verdict::Refused;
         assert_eq!(verdicts, [Verdict::Driven, refused, refused]);

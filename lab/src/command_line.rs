@@ -1,0 +1,83 @@
+//! `tandem completions` and `tandem man`: the whole command line, for shells and for `man`.
+
+use std::fs;
+
+use clap::{Args as _, Command, CommandFactory as _};
+use tandem::args::RunChoice;
+use tandem::failure::Failure;
+use tandem_page::output::OutputFolder;
+
+use crate::args::{Cli, CompletionsArgs, ManArgs};
+
+/// Returns the command line of `tandem`, with the arguments of the commands that `tandem-lab` and
+/// `tandem-top` implement. Those of `tandem bench` are left out: they are in the package of the
+/// benchmarks, which builds all their peers.
+fn whole() -> Command {
+    let lab = Cli::command();
+    let mut whole = tandem::args::Cli::command();
+    let listed: Vec<String> = whole
+        .get_subcommands()
+        .map(|it| it.get_name().to_owned())
+        .collect();
+    for name in listed {
+        whole = whole.mut_subcommand(&name, |command| {
+            let own = lab.find_subcommand(&name);
+            let about = command.get_about().cloned().unwrap_or_default();
+            match &*name {
+                "bench" => Command::new("bench").about(about),
+                "top" => RunChoice::augment_args(Command::new("top")).about(about),
+                _ => own.cloned().unwrap_or(command),
+            }
+        });
+    }
+    whole
+}
+
+/// Prints the script that completes the commands in this shell.
+///
+/// # Errors
+/// If stdout cannot be written.
+pub(crate) fn print_completions(args: &CompletionsArgs) -> Result<(), Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut whole(), "tandem", &mut script);
+    tandem::print(&String::from_utf8(script)?)?;
+    Ok(())
+}
+
+/// Writes a page for each command, and for each of their commands.
+///
+/// # Errors
+/// If the folder cannot be written.
+pub(crate) fn write_pages(args: &ManArgs) -> Result<(), Failure> {
+    let place = OutputFolder::check("DIR", &args.folder).map_err(Failure::usage)?;
+    // The library writes to a folder only.
+    let written = tempfile::tempdir()?;
+    clap_mangen::generate_to(whole(), &written)?;
+    let mut pages = Vec::new();
+    for entry in fs::read_dir(&written)? {
+        let entry = entry?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        pages.push((name, fs::read_to_string(entry.path())?));
+    }
+    place.fill(&pages)?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// No command is left that only passes its arguments on.
+    #[test]
+    fn all_arguments_are_there() {
+        whole().debug_assert();
+        for command in whole().get_subcommands() {
+            let name = command.get_name();
+            let words = command.get_arguments().find(|it| it.get_id() == "words");
+            assert!(words.is_none(), "{name} passes its arguments on");
+            let count = command.get_arguments().count() + command.get_subcommands().count();
+            let has_none = ["bench", "publish", "scenarios"].contains(&name);
+            assert_eq!(count == 0, has_none, "{name}");
+        }
+    }
+}
