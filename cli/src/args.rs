@@ -82,6 +82,8 @@ pub enum Command {
     Ps(PsArgs),
     /// Watch a run live, and inject faults by keys
     Top(PassedArguments),
+    /// Show a run live as a web page on this machine, with buttons that inject faults
+    Web(PassedArguments),
     /// Publish a run for observers; `tandem run` starts this
     #[command(hide = true)]
     Publish,
@@ -273,6 +275,11 @@ pub struct RunArgs {
     /// Switch system A on this long after system B: 40ms
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub stagger: Option<f64>,
+
+    /// Show the run live as a web page on this port of 127.0.0.1, as `tandem web` does; 0 is a free
+    /// port
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0")]
+    pub web: Option<u16>,
 
     /// Print only the contents of metrics.json on stdout
     #[arg(long)]

@@ -22,8 +22,10 @@ pub enum Program {
     Bench,
     /// Virtual time, emulators, campaigns and experiments.
     Lab,
-    /// The live view.
+    /// The live view in a terminal.
     Top,
+    /// The live view in a browser.
+    Web,
 }
 
 impl Program {
@@ -32,13 +34,14 @@ impl Program {
             Self::Bench => "tandem-bench",
             Self::Lab => "tandem-lab",
             Self::Top => "tandem-top",
+            Self::Web => "tandem-web",
         }
     }
 
     const fn package(self) -> &'static str {
         match self {
             Self::Bench => "tandem-benches",
-            Self::Lab | Self::Top => self.name(),
+            Self::Lab | Self::Top | Self::Web => self.name(),
         }
     }
 }
@@ -64,6 +67,17 @@ pub struct PassedArguments {
 /// # Errors
 /// [`Failure::Usage`] if the program is missing.
 pub fn become_program(program: Program, arguments: &[OsString]) -> Result<(), Failure> {
+    let path = built(program)?;
+    let error = Command::new(&path).args(arguments).exec();
+    Err(missing(program, &path, &error))
+}
+
+/// Returns the path of the program, after cargo has rebuilt it if needed, as for
+/// [`become_program`].
+///
+/// # Errors
+/// [`Failure::Usage`] if cargo fails and the program does not exist.
+pub(crate) fn built(program: Program) -> Result<PathBuf, Failure> {
     let folder = this_file().map_err(Failure::Usage)?.with_file_name("");
     let path = folder.join(program.name());
     let is_there = path.exists();
@@ -71,11 +85,15 @@ pub fn become_program(program: Program, arguments: &[OsString]) -> Result<(), Fa
         Err(error) if is_there => eprintln!("{} may be out of date: {error:#}", path.display()),
         built => built.map_err(Failure::Usage)?,
     }
-    let error = Command::new(&path).args(arguments).exec();
+    Ok(path)
+}
+
+/// Returns the failure of a program that cannot be started.
+pub(crate) fn missing(program: Program, path: &Path, error: &std::io::Error) -> Failure {
     let (shown, package) = (path.display(), program.package());
-    Err(Failure::Usage(anyhow!(
+    Failure::Usage(anyhow!(
         "{shown}: {error}; build it: cargo build --release -p {package}"
-    )))
+    ))
 }
 
 /// Returns the path of this program's file. If the program runs from a sealed copy in memory, that

@@ -36,6 +36,7 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
     match command {
         Command::Bench(_) => become_program(Program::Bench, words),
         Command::Top(_) => become_program(Program::Top, words),
+        Command::Web(_) => become_program(Program::Web, words),
         Command::Judge(_)
         | Command::Flash(_)
         | Command::Bootloader(_)
