@@ -14,7 +14,7 @@ use crate::state::{ahead_m, events, state_name};
 /// The view of the lane: metres behind and ahead of the vehicle.
 const LANE_VIEW_M: (f64, f64) = (-15.0, 85.0);
 /// Half of the displayed height of the view, m.
-const ASIDE_M: f64 = 4.0;
+const ASIDE_M: f64 = 3.8;
 /// Half of the displayed width of the lane, m: motorway lanes are 3.5 to 3.75 m wide.
 const HALF_LANE_M: f64 = 1.85;
 /// Length and half width of a vehicle in the drawing, m.

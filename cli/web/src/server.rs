@@ -12,6 +12,7 @@ use std::sync::mpsc::Sender;
 
 use anyhow::Context as _;
 use axum::body::Bytes;
+use axum::extract::rejection::BytesRejection;
 use axum::extract::{DefaultBodyLimit, Request, State as Shared};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::{self, Next};
@@ -284,7 +285,11 @@ fn events(
     })
 }
 
-async fn post_order(Shared(desk): Shared<Arc<Desk>>, headers: HeaderMap, body: Bytes) -> Response {
+async fn post_order(
+    Shared(desk): Shared<Arc<Desk>>,
+    headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Response {
     let given = { headers.get(header::AUTHORIZATION) }
         .and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
     if !given.is_some_and(|given| desk.token.is(given)) {
@@ -298,6 +303,10 @@ async fn post_order(Shared(desk): Shared<Arc<Desk>>, headers: HeaderMap, body: B
     if kind != Some(b"application/json") {
         return said(StatusCode::UNSUPPORTED_MEDIA_TYPE, "send application/json");
     }
+    let body = match body {
+        Ok(body) => body,
+        Err(refused) => return said(refused.status(), &refused.body_text()),
+    };
     let (hand, on) = match order(&body) {
         Ok(order) => order,
         Err(why) => return said(StatusCode::UNPROCESSABLE_ENTITY, &why),

@@ -74,13 +74,14 @@ def check(browser):
     """Kills the master's supply by a click, and returns when the page shows the takeover."""
     browser.ask("POST", "/url", {"url": URL})
     both = " && ".join(f"/\\b{role}\\b/.test(both)" for role in ["master", "standby"])
-    both = f"const both = {text_of('system_a')} + {text_of('system_b')}; return {both}"
+    both = f"const both = {text_of('system_a')} + ' ' + {text_of('system_b')}; return {both}"
     browser.until("both roles", both)
     assert not browser.script("return location.hash"), "the token is still in the address"
-    master = browser.until("a driver", "return document.body.dataset.obeyed")
-    other = {"A": "B", "B": "A"}[master]
     browser.click("button[data-hand='kill-supply'][data-system='master']")
-    browser.until("the answer", f"return {text_of('said')} === 'kill the supply of {master}'")
+    # On a busy machine the driver may have changed since: the answer says which one was killed.
+    killed = browser.until("the answer", f"return {text_of('said')}")
+    assert killed in ["kill the supply of A", "kill the supply of B"], killed
+    other = {"A": "B", "B": "A"}[killed[-1]]
     browser.until("the takeover", f"return document.body.dataset.obeyed === '{other}'")
     seen = f"return {text_of('system_' + other.lower())}.includes('the vehicle obeys it')"
     browser.until("the takeover on the page", seen)
