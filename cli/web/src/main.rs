@@ -4,7 +4,7 @@
 
 mod fragments;
 mod history;
-mod page;
+mod live_page;
 mod server;
 mod state;
 mod token;

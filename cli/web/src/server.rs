@@ -28,7 +28,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot, watch};
 
 use crate::fragments::Fragments;
 use crate::history::History;
-use crate::page::page;
+use crate::live_page::page;
 use crate::state::State;
 use crate::token::Token;
 

@@ -1,4 +1,4 @@
-//! Tests the live page of a real run, with clients that are not ours: Python's urllib, and Chromium.
+//! Tests the live page of a real run with clients that are not ours: Python's, and Chromium.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use std::fs::{self, File};

@@ -6,15 +6,7 @@ use tandem_page::section;
 use tandem_watch::Hand;
 
 const SCRIPT: &str = include_str!("page.js");
-const STYLE: &str = "\
-    button { font: inherit; font-size: 13px; color: inherit; background: var(--paper); border: 1px solid var(--line);
-      border-radius: 6px; padding: 3px 10px; margin: 4px 4px 0 0; cursor: pointer; }
-    button:hover { border-color: var(--muted); }
-    button.strong { border-color: var(--bad); color: var(--bad); font-weight: 600; }
-    input { font: inherit; font-size: 13px; width: 34ch; background: var(--paper); color: inherit;
-      border: 1px solid var(--line); border-radius: 6px; padding: 3px 8px; }
-    i.state { display: inline-block; width: 12px; height: 12px; border-radius: 50%; margin-right: 7px; }
-    #said { margin-left: 10px; color: var(--muted); }";
+const STYLE: &str = include_str!("page.css");
 
 /// Returns the page. Its script runs only if the browser is told the same `nonce`.
 pub(crate) fn page(nonce: &str) -> String {
