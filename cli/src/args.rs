@@ -84,6 +84,8 @@ pub enum Command {
     Top(PassedArguments),
     /// Show a run in Foxglove: as an MCAP file, or live
     Foxglove(PassedArguments),
+    /// Show a run live as a web page on this machine, with buttons that inject faults
+    Web(PassedArguments),
     /// Publish a run for observers; `tandem run` starts this
     #[command(hide = true)]
     Publish,
@@ -289,6 +291,10 @@ pub struct RunArgs {
     /// Show the run live in Foxglove, at this port of this machine; 0 chooses one
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
     pub foxglove: Option<u16>,
+    /// Show the run live as a web page on this port of 127.0.0.1, as `tandem web` does; 0 is a free
+    /// port
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0")]
+    pub web: Option<u16>,
 
     /// Print only the contents of metrics.json on stdout
     #[arg(long)]

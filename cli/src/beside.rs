@@ -24,8 +24,10 @@ pub enum Program {
     Foxglove,
     /// Virtual time, emulators, campaigns and experiments.
     Lab,
-    /// The live view.
+    /// The live view in a terminal.
     Top,
+    /// The live view in a browser.
+    Web,
 }
 
 impl Program {
@@ -35,13 +37,14 @@ impl Program {
             Self::Foxglove => "tandem-foxglove",
             Self::Lab => "tandem-lab",
             Self::Top => "tandem-top",
+            Self::Web => "tandem-web",
         }
     }
 
     const fn package(self) -> &'static str {
         match self {
             Self::Bench => "tandem-benches",
-            Self::Foxglove | Self::Lab | Self::Top => self.name(),
+            Self::Foxglove | Self::Lab | Self::Top | Self::Web => self.name(),
         }
     }
 }

@@ -42,6 +42,7 @@ mod timeline;
 pub mod topics;
 mod update;
 pub mod vehicle;
+mod web;
 pub mod world_record;
 
 use std::alloc::System;

@@ -37,6 +37,7 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         Command::Bench(_) => become_program(Program::Bench, words),
         Command::Foxglove(_) => become_program(Program::Foxglove, words),
         Command::Top(_) => become_program(Program::Top, words),
+        Command::Web(_) => become_program(Program::Web, words),
         Command::CanLog(_)
         | Command::Completions(_)
         | Command::Man(_)

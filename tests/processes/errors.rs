@@ -79,6 +79,7 @@ fn a_program_that_is_not_built() {
         (&["sim", "--seeds", "1"], "tandem-lab"),
         (&["run", "--board", "qemu"], "tandem-lab"),
         (&["help", "top"], "tandem-top"),
+        (&["web"], "tandem-web"),
     ] {
         let output = Command::new(&alone).args(args).output().unwrap();
         let said = String::from_utf8(output.stderr).unwrap();

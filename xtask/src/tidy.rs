@@ -25,6 +25,7 @@ exec: board shm
 exec-host: board board-host boot exec shm
 vehicle: board bus timesync
 page:
+watch: board board-host
 board-host: board board-udp peripherals shm
 benches: board board-host board-udp exec exec-host page rtos shm topics topics-host two-cores
 two-cores: shm
@@ -40,13 +41,14 @@ cosim: board peripherals
 board-qemu: board board-udp cosim peripherals
 ";
 /// The top crates, which may depend on all others.
-const ON_TOP: [&str; 7] = [
+const ON_TOP: [&str; 8] = [
     "tandem",
     "tandem-foxglove",
     "tandem-fuzz",
     "tandem-lab",
     "tandem-tests",
     "tandem-top",
+    "tandem-web",
     "xtask",
 ];
 /// The only packages that may name iceoryx2: the host board, and the benchmarks, which measure it

@@ -2,8 +2,6 @@
 //! `tandem top` replaces itself by this program.
 #![forbid(unsafe_code)]
 
-mod keys;
-mod picture;
 mod view;
 
 use std::io::IsTerminal as _;
@@ -18,8 +16,10 @@ use clap::{Parser, Subcommand};
 use tandem::args::RunChoice;
 use tandem::failure::Failure;
 
-use keys::Keys;
-use picture::Picture;
+use tandem_board::SystemId;
+use tandem_watch::{Hand, Hands, Picture};
+
+use view::Desk;
 
 /// Interval at which the screen is drawn.
 const REFRESH: Duration = Duration::from_millis(100);
@@ -68,12 +68,15 @@ fn run(choice: &RunChoice) -> Result<(), Failure> {
 
 fn show(observer: &mut Observer, terminal: &mut ratatui::DefaultTerminal) -> anyhow::Result<()> {
     let mut picture = Picture::new(observer.run().as_str());
-    let mut keys = Keys::on(observer.run().clone());
+    let mut hands = Hands::on(observer.run().clone());
+    let mut desk = Desk {
+        selected: SystemId::A,
+        said: String::new(),
+    };
     loop {
         observer.poll(&mut |news| picture.take(&news));
-        picture.said = keys.said();
         terminal
-            .draw(|frame| view::draw(&picture, frame))
+            .draw(|frame| view::draw(&picture, &desk, frame))
             .context("the terminal")?;
         if !event::poll(REFRESH).context("the keyboard")? {
             picture.tick(REFRESH);
@@ -87,8 +90,16 @@ fn show(observer: &mut Observer, terminal: &mut ratatui::DefaultTerminal) -> any
             _ if key.kind != KeyEventKind::Press => {}
             KeyCode::Char('q') | KeyCode::Esc => return Ok(()),
             KeyCode::Char('c') if interrupts => return Ok(()),
-            KeyCode::Tab => picture.selected = picture.selected.peer(),
-            KeyCode::Char(key) => keys.press(key, picture.selected),
+            KeyCode::Tab => desk.selected = desk.selected.peer(),
+            KeyCode::Char(key) => {
+                desk.said = match Hand::of_key(key) {
+                    Some(hand) => match hands.lay(hand, desk.selected) {
+                        Ok(begun) => begun,
+                        Err(refused) => refused.to_string(),
+                    },
+                    None => format!("{key} is no key"),
+                };
+            }
             _ => {}
         }
     }

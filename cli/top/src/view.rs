@@ -8,8 +8,10 @@ use ratatui::widgets::{Block, Paragraph, Sparkline};
 use tandem_board::SystemId;
 use tandem_board_host::services::{Event, Roles};
 
-use super::keys::KEYS;
-use super::picture::Picture;
+use tandem_watch::Picture;
+
+/// The keys and their effect on the selected system.
+const KEYS: &str = "Tab system p/o power off/on 0-2 kill core h hang c CAN b beats l link m mend q";
 
 /// Names and colours of a system's states, in the order of the numbers of [`Roles::state`].
 const STATES: [(&str, Color); 8] = [
@@ -29,8 +31,16 @@ const HALF_VEHICLE_M: f64 = 0.9;
 /// Upper end of the chart of gaps, ms.
 const GAP_TOP_MS: f64 = 25.0;
 
+/// What the screen shows beside the state of the run.
+pub(super) struct Desk {
+    /// The system that keys act on.
+    pub(super) selected: SystemId,
+    /// A description of the last action.
+    pub(super) said: String,
+}
+
 /// Draws the screen.
-pub(super) fn draw(picture: &Picture, frame: &mut Frame<'_>) {
+pub(super) fn draw(picture: &Picture, desk: &Desk, frame: &mut Frame<'_>) {
     let areas = Layout::vertical([
         Constraint::Length(1),
         Constraint::Length(5),
@@ -44,12 +54,12 @@ pub(super) fn draw(picture: &Picture, frame: &mut Frame<'_>) {
     let halves = Layout::horizontal([Constraint::Fill(1), Constraint::Fill(1)]);
     let halves: [Rect; 2] = halves.areas(systems);
     for (system, area) in SystemId::ALL.into_iter().zip(halves) {
-        draw_system(picture, system, area, frame);
+        draw_system(picture, desk, system, area, frame);
     }
     draw_lane(picture, lane, frame);
     draw_gaps(picture, gaps, frame);
     draw_events(picture, events, frame);
-    let said = Span::styled(picture.said.as_str(), Style::new().fg(Color::Yellow));
+    let said = Span::styled(desk.said.as_str(), Style::new().fg(Color::Yellow));
     let keys = Span::styled(KEYS, Style::new().add_modifier(Modifier::DIM));
     frame.render_widget(Paragraph::new(vec![said.into(), keys.into()]), foot);
 }
@@ -88,7 +98,13 @@ fn lamp(name: String, on: bool) -> [Span<'static>; 2] {
     [Span::raw(name), Span::styled(sign, Style::new().fg(colour))]
 }
 
-fn draw_system(picture: &Picture, system: SystemId, area: Rect, frame: &mut Frame<'_>) {
+fn draw_system(
+    picture: &Picture,
+    desk: &Desk,
+    system: SystemId,
+    area: Rect,
+    frame: &mut Frame<'_>,
+) {
     let roles = picture.roles.unwrap_or(Roles {
         obeyed: u8::MAX,
         ..Roles::default()
@@ -96,7 +112,7 @@ fn draw_system(picture: &Picture, system: SystemId, area: Rect, frame: &mut Fram
     let index = system.index();
     let state = usize::from(roles.state[index]);
     let (name, colour) = STATES.get(state).copied().unwrap_or(STATES[0]);
-    let selected = match picture.selected == system {
+    let selected = match desk.selected == system {
         true => "►",
         false => " ",
     };
@@ -181,9 +197,7 @@ fn draw_gaps(picture: &Picture, area: Rect, frame: &mut Frame<'_>) {
 
 fn draw_events(picture: &Picture, area: Rect, frame: &mut Frame<'_>) {
     let rows = usize::from(area.height.saturating_sub(2));
-    let begin_ns = picture.roles.map_or(0, |roles| {
-        roles.at_ns.saturating_sub((roles.time_s * 1e9) as u64)
-    });
+    let begin_ns = picture.begin_ns();
     let line = |event: &Event| {
         let at_s = event.at_ns.saturating_sub(begin_ns) as f64 * 1e-9;
         let system = if event.system == 0 { 'A' } else { 'B' };
@@ -262,13 +276,21 @@ mod tests {
             let at_ns = (at_s * 1e9) as u64;
             picture.take(&News::Event(Event::new(at_ns, system, core, text)));
         }
-        picture.said = "kill core 0 of A".to_owned();
         picture
+    }
+
+    fn desk() -> Desk {
+        Desk {
+            selected: SystemId::A,
+            said: "kill core 0 of A".to_owned(),
+        }
     }
 
     fn screen(picture: &Picture) -> Buffer {
         let mut terminal = Terminal::new(TestBackend::new(80, 24)).unwrap();
-        terminal.draw(|frame| draw(picture, frame)).unwrap();
+        terminal
+            .draw(|frame| draw(picture, &desk(), frame))
+            .unwrap();
         terminal.backend().buffer().clone()
     }
 
@@ -307,7 +329,9 @@ mod tests {
         for (width, height) in [(80, 24), (20, 5), (1, 1), (200, 60)] {
             for picture in [&empty, &picture()] {
                 let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
-                terminal.draw(|frame| draw(picture, frame)).unwrap();
+                terminal
+                    .draw(|frame| draw(picture, &desk(), frame))
+                    .unwrap();
             }
         }
     }

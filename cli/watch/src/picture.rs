@@ -1,4 +1,4 @@
-//! The state that `tandem top` shows, collected from the messages that a run publishes.
+//! The state that the live views show, collected from the messages that a run publishes.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -6,30 +6,30 @@ use std::time::Duration;
 use tandem_board::SystemId;
 use tandem_board_host::services::{Event, News, Roles, Vehicle};
 
-/// Number of stored events and gaps: as many as the screen can show.
+/// Number of stored events and gaps: as many as the terminal can show.
 const EVENTS: usize = 32;
 const GAPS: usize = 76;
-/// The value of [`tandem_board_host::services::Frame::verdict`] for an accepted control frame.
+/// The value of [`tandem_board_host::services::Frame::ruling`] for an accepted control frame.
 const ACCEPTED: u8 = 1;
 /// A run that publishes nothing for this long counts as ended.
 const SILENT: Duration = Duration::from_secs(2);
 
-/// The state on the screen.
-pub(super) struct Picture {
-    pub(super) run: String,
-    pub(super) roles: Option<Roles>,
-    pub(super) vehicle: Option<Vehicle>,
+/// What a view shows of a run.
+#[derive(Debug)]
+pub struct Picture {
+    /// The name of the run.
+    pub run: String,
+    /// The newest state of both systems; `None` before the first.
+    pub roles: Option<Roles>,
+    /// The newest state of the vehicle; `None` before the first.
+    pub vehicle: Option<Vehicle>,
     /// Events, the newest last.
-    pub(super) events: VecDeque<Event>,
+    pub events: VecDeque<Event>,
     /// The longest gap in each tenth of a second, ms; the newest last.
-    pub(super) gaps_ms: VecDeque<f64>,
+    pub gaps_ms: VecDeque<f64>,
     /// Number of frames on the bus in the last `span_ns`.
     frames: u32,
     span_ns: u64,
-    /// The system that keys act on.
-    pub(super) selected: SystemId,
-    /// A description of the last action.
-    pub(super) said: String,
     /// Time of the last accepted frame, ns.
     accepted_ns: Option<u64>,
     counted: u32,
@@ -38,7 +38,9 @@ pub(super) struct Picture {
 }
 
 impl Picture {
-    pub(super) fn new(run: &str) -> Self {
+    /// Returns the picture of this run before its first message.
+    #[must_use]
+    pub fn new(run: &str) -> Self {
         Self {
             run: run.to_owned(),
             roles: None,
@@ -47,8 +49,6 @@ impl Picture {
             gaps_ms: VecDeque::new(),
             frames: 0,
             span_ns: 0,
-            selected: SystemId::A,
-            said: String::new(),
             accepted_ns: None,
             counted: 0,
             longest_ms: 0.0,
@@ -57,21 +57,44 @@ impl Picture {
     }
 
     /// Returns true if the run has stopped publishing.
-    pub(super) fn has_ended(&self) -> bool {
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
         self.silent >= SILENT
     }
 
     /// Returns the number of frames on the bus per second.
-    pub(super) fn frames_per_s(&self) -> u64 {
+    #[must_use]
+    pub fn frames_per_s(&self) -> u64 {
         u64::from(self.frames) * 1_000_000_000 / self.span_ns.max(1)
     }
 
-    /// Adds `span`, which passed without a key press, to the time without messages.
-    pub(super) fn tick(&mut self, span: Duration) {
+    /// Returns the system that the vehicle obeys; `None` before the first control frame.
+    #[must_use]
+    pub fn obeyed(&self) -> Option<SystemId> {
+        let index = usize::from(self.roles?.obeyed);
+        SystemId::ALL.get(index).copied()
+    }
+
+    /// Returns the run's clock at scenario time 0, ns.
+    #[must_use]
+    pub fn begin_ns(&self) -> u64 {
+        self.roles.map_or(0, |roles| {
+            roles.at_ns.saturating_sub((roles.time_s * 1e9) as u64)
+        })
+    }
+
+    /// Adds `span` to the time without messages.
+    pub fn tick(&mut self, span: Duration) {
         self.silent += span;
     }
 
-    pub(super) fn take(&mut self, news: &News) {
+    /// Says that the run has ended.
+    pub fn end(&mut self) {
+        self.silent = SILENT;
+    }
+
+    /// Adds a message of the run.
+    pub fn take(&mut self, news: &News) {
         self.silent = Duration::ZERO;
         match news {
             News::Roles(roles) => {

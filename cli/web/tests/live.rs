@@ -1,0 +1,201 @@
+//! Tests the live page of a real run with clients that are not ours: Python's, and Chromium.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
+use std::fs::{self, File};
+use std::io::{BufRead as _, BufReader};
+use std::net::{Ipv4Addr, TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStderr, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+use tempfile::TempDir;
+
+const WEB: &str = env!("CARGO_BIN_EXE_tandem-web");
+/// No run of these tests takes longer than this, even on a busy machine.
+const WATCHDOG: Duration = Duration::from_secs(120);
+
+/// A run with a page, from programs without sources, which no cargo builds. Dropping it ends both.
+struct Run {
+    process: Child,
+    url: String,
+    /// Kept open, so that the run may write.
+    _said: BufReader<ChildStderr>,
+    folder: TempDir,
+}
+
+impl Run {
+    fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let built = Path::new(WEB).with_file_name("tandem");
+        assert!(
+            built.exists(),
+            "build the workspace: {} is missing",
+            built.display()
+        );
+        for (from, name) in [(built.as_path(), "tandem"), (Path::new(WEB), "tandem-web")] {
+            fs::copy(from, folder.path().join(name)).unwrap();
+        }
+        let mut process = Command::new(folder.path().join("tandem"))
+            .args([
+                "run",
+                "--web",
+                "--quiet",
+                "--duration",
+                "110",
+                "--scenario",
+                "free-lane",
+            ])
+            .current_dir(folder.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut said = BufReader::new(process.stderr.take().unwrap());
+        let mut line = String::new();
+        said.read_line(&mut line).unwrap();
+        let url = line.trim().strip_prefix("live page: ").map(str::to_owned);
+        Self {
+            process,
+            url: url.unwrap_or_else(|| panic!("no address: {line}")),
+            _said: said,
+            folder,
+        }
+    }
+
+    fn port(&self) -> u16 {
+        let (_, rest) = self.url.split_once("127.0.0.1:").unwrap();
+        rest.split('/').next().unwrap().parse().unwrap()
+    }
+
+    /// Runs a client in Python with the address of the page.
+    fn client(&self, script: &str, args: &[&Path]) {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("tests")
+            .join(script);
+        let mut client = Command::new("python3");
+        client.arg(script).arg(&self.url).args(args);
+        let output = until_ended(client);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{said}");
+    }
+
+    /// Ends the run by Ctrl-C. Checks that its page has ended with it.
+    fn interrupt(mut self) {
+        kill_process(Pid::from_child(&self.process), Signal::INT).unwrap();
+        let status = self.process.wait().unwrap();
+        assert_eq!(status.code(), Some(130));
+        assert!(TcpStream::connect((Ipv4Addr::LOCALHOST, self.port())).is_err());
+        assert!(
+            self.folder
+                .path()
+                .join("tandem-report/report.html")
+                .exists()
+        );
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        let _ = kill_process(Pid::from_child(&self.process), Signal::INT);
+        let _ = self.process.wait();
+    }
+}
+
+/// Runs a client to its end, or fails after [`WATCHDOG`].
+fn until_ended(mut client: Command) -> Output {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("stderr");
+    let mut child = client
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(File::create(&path).unwrap())
+        .spawn()
+        .unwrap();
+    let begin = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            break status;
+        }
+        if begin.elapsed() > WATCHDOG {
+            child.kill().unwrap();
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    let stderr = fs::read(&path).unwrap();
+    Output {
+        status,
+        stdout: Vec::new(),
+        stderr,
+    }
+}
+
+/// Returns true if these programs can be started. If not, the test is skipped; if the environment
+/// variable `required` is 1, it fails.
+fn has(programs: &[&str], required: &str) -> bool {
+    let starts = |program: &&&str| {
+        let output = Command::new(program).arg("--version").output();
+        output.is_ok_and(|output| output.status.success())
+    };
+    let missing: Vec<_> = programs.iter().filter(|it| !starts(it)).collect();
+    let is_required = std::env::var_os(required).is_some_and(|value| value == "1");
+    assert!(
+        missing.is_empty() || !is_required,
+        "{missing:?} cannot be started"
+    );
+    if !missing.is_empty() {
+        eprintln!("skipped: {missing:?} cannot be started");
+    }
+    missing.is_empty()
+}
+
+/// Requests without the token, of other sites and under other names are refused. With the token the
+/// supply of the master is killed, and the stream shows the takeover.
+#[test]
+fn a_client_in_python_kills_the_master_and_sees_the_takeover() {
+    if !has(&["python3"], "TANDEM_REQUIRE_ORACLES") {
+        return;
+    }
+    let run = Run::start();
+    run.client("client.py", &[]);
+    run.interrupt();
+}
+
+/// A click on the page kills the master's supply, and the page shows the takeover.
+/// `TANDEM_SCREENSHOT=FILE` keeps a picture of the page.
+#[test]
+fn a_click_in_chromium_kills_the_master_and_the_page_shows_the_takeover() {
+    if !has(
+        &["python3", "chromium", "chromedriver"],
+        "TANDEM_REQUIRE_CHROMIUM",
+    ) {
+        return;
+    }
+    let run = Run::start();
+    let kept = std::env::var_os("TANDEM_SCREENSHOT").map(PathBuf::from);
+    let picture = kept.unwrap_or_else(|| run.folder.path().join("page.png"));
+    run.client("browser.py", &[&picture]);
+    assert!(fs::metadata(&picture).unwrap().len() > 10_000);
+    run.interrupt();
+}
+
+/// Bad input is refused with exit status 2, and no server is left.
+#[test]
+fn a_run_that_is_missing_and_a_port_that_is_in_use() {
+    let output = |args: &[&str]| {
+        let mut command = Command::new(WEB);
+        command.arg("web").args(args);
+        let output = until_ended(command);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        said
+    };
+    let said = output(&["--run", "no-such-run"]);
+    assert!(said.contains("no run is active"), "{said}");
+    let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+    let port = taken.local_addr().unwrap().port().to_string();
+    let said = output(&["--wait", "--port", &port]);
+    assert!(said.contains(&format!("--port {port}")), "{said}");
+    assert!(output(&["--port", "70000"]).contains("--port"));
+}
