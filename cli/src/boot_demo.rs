@@ -12,11 +12,11 @@ use tandem_board_host::{HostVehiclePort, LaunchPlan, Launcher, Schedule, Vehicle
 use tandem_boot::{FIRST_ID, Slot};
 use tandem_boot_host::{FileSender, ToDo, records};
 
-use crate::boot::{self, ProgramFlashes};
-use crate::files::RunFiles;
 use crate::run::this_program;
-use crate::run_config::{RunConfig, write_lines};
-pub use crate::three_frames::NAME;
+use tandem_processes::boot::{self, ProgramFlashes};
+use tandem_processes::files::RunFiles;
+use tandem_processes::run_config::{RunConfig, write_lines};
+pub use tandem_processes::three_frames::NAME;
 
 /// The system that receives the download. The other system has an empty flash and waits.
 pub const SYSTEM: SystemId = SystemId::A;

@@ -12,7 +12,7 @@ use rustix::termios::tcgetwinsize;
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board_host::process_list::{self, RunError};
-use tandem_board_host::services::{ChainedClock, News, Observer, VehicleClocks};
+use tandem_observers::{ChainedClock, News, Observer, VehicleClocks};
 use tandem_page::output::OutputFile;
 use tandem_record::clocks::ChainClock;
 use tandem_record::description::{is_holdover, no_grandmaster, time_source, time_status};

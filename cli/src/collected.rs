@@ -7,12 +7,12 @@ use std::path::Path;
 use anyhow::Context as _;
 use tandem_record::{RunLog, file};
 
-use crate::files::RunFiles;
 use crate::metrics::{self, Metrics, Surroundings};
 use crate::output::{self, ReportFolder};
 use crate::percentiles::Spans;
 use crate::report;
 use crate::timeline::{self, Timeline};
+use tandem_processes::files::RunFiles;
 
 /// The data of a run, copied from its shared memory before that memory is erased.
 pub struct Collected {

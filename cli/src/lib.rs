@@ -5,20 +5,14 @@
 pub mod args;
 pub mod beside;
 pub mod board_kind;
-pub mod boot;
 pub mod boot_demo;
-pub mod can_udp;
 pub mod clock_view;
 pub mod collected;
 mod companion;
-mod control_core;
-mod core_process;
 pub mod dflash;
 pub mod exec;
 pub mod exec_sign;
 pub mod failure;
-pub mod files;
-mod forging;
 pub mod foxglove;
 mod gptp;
 pub mod grandmaster;
@@ -29,37 +23,25 @@ pub mod output;
 pub mod percentiles;
 pub mod ps;
 pub mod publish;
-pub mod recorder;
 mod report;
 pub mod run;
-pub mod run_config;
 pub mod soc;
 pub mod stall_watch;
 mod summary;
-mod three_frames;
 mod time_figures;
 mod timeline;
 pub mod topics;
-mod update;
-pub mod vehicle;
 mod web;
-pub mod world_record;
 
-use std::alloc::System;
 use std::io::{self, Write as _};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use run_config::RunConfig;
 use tandem_board_host::{InvalidArgs, ProcessArgs, supply};
+use tandem_processes::run_config::RunConfig;
+use tandem_processes::{core_process, vehicle};
 
 use failure::Failure;
-use tandem_rtos::host::TaskAllocator;
-
-/// The tasks of a core share its thread, and therefore also its allocator.
-#[global_allocator]
-static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
-
 /// Runs a process of a run if the arguments request one, otherwise `command`. Every program that
 /// starts a run must call this, because the program starts itself again, with hidden arguments, for
 /// each process of the run.

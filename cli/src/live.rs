@@ -1,6 +1,5 @@
-//! The current state of a run. The vehicle writes it every 100 ms, and `tandem run` shows it.
+//! The line in the terminal that shows the current state of a run.
 
-use std::fs;
 use std::io::{IsTerminal as _, stderr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -9,59 +8,9 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use rustix::termios::tcgetwinsize;
-use serde::{Deserialize, Serialize};
+use tandem_processes::live::Live;
 
 const REFRESH: Duration = Duration::from_millis(100);
-
-/// The current state of a run.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Live {
-    /// Scenario time, s.
-    pub time_s: f64,
-    /// Speed, m/s.
-    pub speed: f64,
-    /// Distance from bumper to bumper to the vehicle ahead in the lane, m.
-    pub lead_gap: Option<f64>,
-    /// Roles of A and B, as their role outputs show them.
-    pub roles: [String; 2],
-    /// Longest time between two accepted control frames so far, ms.
-    pub gap_max_ms: f64,
-    /// Number of changes of the system that the vehicle obeys.
-    pub takeovers: u32,
-}
-
-impl Live {
-    /// Replaces the file atomically, so that a reader never sees a partly written state.
-    ///
-    /// # Errors
-    /// If the file cannot be written.
-    pub fn write(&self, path: &Path) -> std::io::Result<()> {
-        let next = path.with_extension("next");
-        fs::write(&next, serde_json::to_vec(self)?)?;
-        fs::rename(&next, path)
-    }
-
-    /// Returns one line of fixed columns: time, speed, distance to the vehicle ahead, roles, the
-    /// largest gap, and the number of takeovers.
-    fn line(&self, duration_s: f64) -> String {
-        let ahead = match self.lead_gap {
-            Some(gap) if gap < 999.5 => format!("{gap:3.0} m"),
-            _ => "free ".to_owned(),
-        };
-        let [a, b] = &self.roles;
-        format!(
-            "{:5.1}/{duration_s:.0} s {:3.0} km/h ahead {ahead} A {a:<9} B {b:<9} gap {:.0} ms, {} taken",
-            self.time_s,
-            self.speed * 3.6,
-            self.gap_max_ms,
-            self.takeovers,
-        )
-    }
-
-    fn read(path: &Path) -> Option<Self> {
-        serde_json::from_slice(&fs::read(path).ok()?).ok()
-    }
-}
 
 /// Shows the state of a run in one line of the terminal. Shows nothing without a terminal.
 pub struct Progress {
@@ -90,6 +39,23 @@ impl Progress {
     }
 }
 
+/// Returns one line of fixed columns: time, speed, distance to the vehicle ahead, roles, the
+/// largest gap, and the number of takeovers.
+fn line(live: &Live, duration_s: f64) -> String {
+    let ahead = match live.lead_gap {
+        Some(gap) if gap < 999.5 => format!("{gap:3.0} m"),
+        _ => "free ".to_owned(),
+    };
+    let [a, b] = &live.roles;
+    format!(
+        "{:5.1}/{duration_s:.0} s {:3.0} km/h ahead {ahead} A {a:<9} B {b:<9} gap {:.0} ms, {} taken",
+        live.time_s,
+        live.speed * 3.6,
+        live.gap_max_ms,
+        live.takeovers,
+    )
+}
+
 /// Moves to the first column of the terminal and clears the line.
 const CLEAR: &str = "\r\x1b[2K";
 
@@ -99,7 +65,7 @@ fn follow(path: &Path, duration_s: f64, over: &AtomicBool) {
         if let Some(live) = Live::read(path) {
             // Cut the line at the terminal's width: a wrapped line could not be cleared.
             let columns = tcgetwinsize(stderr()).map_or(80, |size| usize::from(size.ws_col));
-            eprint!("{CLEAR}{:.columns$}", live.line(duration_s));
+            eprint!("{CLEAR}{:.columns$}", line(&live, duration_s));
         }
         std::thread::sleep(REFRESH);
     }
@@ -123,7 +89,7 @@ mod tests {
                 gap_max_ms: 1_011.3,
                 takeovers: 12,
             };
-            live.line(120.0)
+            super::line(&live, 120.0)
         };
         let shown = [
             line(0.0, None, "off"),

@@ -22,11 +22,9 @@ use rustix::process::getppid;
 use serde::{Deserialize, Serialize};
 use tandem_board::{CanId, CoreAddress, SystemId};
 use tandem_board_host::RunName;
-use tandem_board_host::services::{
-    ChainedClock, Event, Frame, Publisher, Roles, Vehicle, VehicleClocks,
-};
 use tandem_bus::{Message, RoleCode};
 use tandem_cores::trace;
+use tandem_observers::{ChainedClock, Event, Frame, Publisher, Roles, Vehicle, VehicleClocks};
 use tandem_record::clocks::{ChainClock, TimeLog};
 use tandem_record::log::{Sample, VehicleRecord};
 use tandem_record::roles::RoleState;
@@ -36,10 +34,10 @@ use tandem_vehicle::LoggedFrame;
 
 use crate::args::RunArgs;
 use crate::failure::Failure;
-use crate::files::RunFiles;
 use crate::foxglove::Showing;
 use crate::percentiles::Spans;
-use crate::run_config::{LimitProfile, RunConfig};
+use tandem_processes::files::RunFiles;
+use tandem_processes::run_config::{LimitProfile, RunConfig};
 
 /// Delay of the next read after a read that found nothing, or only part of an entry.
 const RETRY_INTERVAL: Duration = Duration::from_millis(10);

@@ -19,24 +19,25 @@ use tandem_record::verdict::Beside;
 use tandem_redundancy::Budget;
 use tandem_vehicle::Scenario;
 
-use crate::args::{CpuList, RunArgs, SocArgs, Timing};
+use crate::args::{CanKind, CpuList, RunArgs, SocArgs, Timing};
 use crate::board_kind::BoardKind;
-use crate::boot::{self, ProgramFlashes};
-use crate::can_udp::CanUdp;
 use crate::collected::{Collected, read};
 use crate::failure::Failure;
-use crate::files::RunFiles;
 use crate::grandmaster::{GrandmasterEnd, GrandmasterProcess};
 use crate::live::Progress;
 use crate::metrics::{Metrics, Surroundings};
 use crate::output::{self, ReportFolder};
 use crate::publish::Publishing;
-use crate::run_config::{LimitProfile, RunConfig, UpdateFiles, can_group};
 use crate::soc::{SocEnd, SocProcess};
 use crate::stall_watch::{self, Seen, StallWatch};
-use crate::update::objections;
 use crate::web::WebPage;
-use crate::{core_process, summary, topics, vehicle};
+use crate::{summary, topics};
+use tandem_processes::boot::{self, ProgramFlashes};
+use tandem_processes::can_udp::{CanGroup, CanUdp};
+use tandem_processes::files::RunFiles;
+use tandem_processes::run_config::{LimitProfile, RunConfig, UpdateFiles};
+use tandem_processes::update::objections;
+use tandem_processes::{core_process, vehicle};
 
 /// Duration for which `--timing auto` measures the stalls of the machine.
 const MEASURED_FOR: Duration = Duration::from_ms(500);
@@ -58,7 +59,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         .then(|| stall_watch::longest(&checked.places, profile == LimitProfile::Rt, MEASURED_FOR));
     let config = RunConfig {
         stall_us: longest.map(|it| u32::try_from(it.as_us()).unwrap_or(u32::MAX)),
-        ..RunConfig::of(args, profile)
+        ..config_of(args, profile)
     };
     if !args.quiet {
         eprintln!("{granted}\n{}", limits(&config.budget(), longest));
@@ -102,6 +103,32 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     )
 }
 
+/// Returns the configuration that the command line describes, without program flashes.
+pub fn config_of(args: &RunArgs, profile: LimitProfile) -> RunConfig {
+    RunConfig {
+        scenario: args.scenario.clone(),
+        seed: args.seed,
+        duration_s: args.duration,
+        profile,
+        reintegrate: args.reintegrate,
+        overrides_s: args.overrides,
+        answers_after_s: args.answers,
+        parks_from_s: args.parks_from_s(),
+        sensor_faults: args.sensor_fault.clone(),
+        sensor_timing: args.sensor_time.clone(),
+        can: can_group(args),
+        ..RunConfig::default()
+    }
+}
+
+/// Returns where other programs hear the bus, if they do.
+fn can_group(args: &RunArgs) -> Option<CanGroup> {
+    args.can.map(|CanKind::Udp| CanGroup {
+        group: args.can_group,
+        port: args.can_port,
+    })
+}
+
 /// The result of [`recorded`].
 pub struct Recorded<T> {
     /// The recording.
@@ -129,7 +156,7 @@ pub fn recorded<T: Send>(
     let mut launcher = Launcher::prepare()?;
     let (profile, granted) = grant(args, &checked, &launcher)?;
     let files = RunFiles::of(launcher.isolation().run());
-    let config = with_flash(args, &files, RunConfig::of(args, profile))?;
+    let config = with_flash(args, &files, config_of(args, profile))?;
     let injection = launcher.injection();
     let watch = StallWatch::start(&checked.places, profile == LimitProfile::Rt);
     let config = RunConfig {
@@ -178,7 +205,7 @@ pub fn run_elsewhere(
     drive: impl FnOnce(&RunConfig, &RunFiles) -> Result<DrivenElsewhere, Failure>,
 ) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
-    let config = RunConfig::of(args, LimitProfile::Rt);
+    let config = config_of(args, LimitProfile::Rt);
     let folder = tempfile::tempdir().context("a folder for the run's logs")?;
     let files = RunFiles::within(folder.path());
     let mut publishing = Publishing::prepare(args)?;

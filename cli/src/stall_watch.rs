@@ -25,8 +25,8 @@ use tandem_board_host::{Alarm, Expired, clock};
 use tandem_record::run_log::{Stall, Stood};
 use tandem_record::verdict::Watch;
 
-use crate::control_core::WATCH_PERIOD;
-use crate::run_config::StallTimer;
+use tandem_processes::control_core::WATCH_PERIOD;
+use tandem_processes::run_config::StallTimer;
 
 /// Period of the threads before a run, while its limits are chosen.
 const FINE_PERIOD: Duration = Duration::from_ms(1);

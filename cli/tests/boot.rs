@@ -10,9 +10,9 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use tandem::boot;
 use tandem_boot::{EnvironmentStore, Slot};
 use tandem_boot_host::FlashFile;
+use tandem_processes::boot;
 
 /// Longer than any run of these tests takes on a busy machine.
 const WATCHDOG: Duration = Duration::from_secs(180);

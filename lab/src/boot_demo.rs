@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use tandem::board_kind::DemoBoard;
-use tandem::boot;
 use tandem::boot_demo::{Downloaded, NAME, SYSTEM, download, on_host};
 use tandem_board_qemu::{BootFrom, EmulatedWorld};
 use tandem_boot_host::{FlashFile, SigningKey, records};
+use tandem_processes::boot;
 
 use crate::emulated;
 

@@ -17,15 +17,15 @@ use tandem_vehicle::Scenario;
 
 use tandem::args::RunArgs;
 use tandem::board_kind::BoardKind;
-use tandem::boot;
 use tandem::failure::Failure;
-use tandem::files::RunFiles;
 use tandem::live::Progress;
-use tandem::recorder::Recorder;
 use tandem::run::{self, DrivenElsewhere};
-use tandem::run_config::{RunConfig, UpdateFiles};
 use tandem::soc::EmulatedSoc;
-use tandem::vehicle;
+use tandem_processes::boot;
+use tandem_processes::files::RunFiles;
+use tandem_processes::recorder::Recorder;
+use tandem_processes::run_config::{RunConfig, UpdateFiles};
+use tandem_processes::vehicle;
 
 /// Output folder of `cargo xtask firmware build`, relative to the target folder.
 const IMAGES: &str = "firmware/riscv32imac-unknown-none-elf/release";

@@ -8,7 +8,6 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::fs;
 use std::path::Path;
 use std::time::Instant as Clock;
-use tandem::boot::{PRIVATE_DER, key};
 use tandem::failure::Failure;
 use tandem_board::{Duration, Instant, MonotonicCounter as _, ResetCause};
 use tandem_boot::{
@@ -19,6 +18,7 @@ use tandem_boot_host::{
     Content, FileSender, FlashFile, Image, ReleaseInfo, SigningKey, delta, records, send_file,
     serve,
 };
+use tandem_processes::boot::{PRIVATE_DER, key};
 
 /// The DER header of a public Ed25519 key (RFC 8410); its 32 bytes follow.
 const PUBLIC_DER: [u8; 12] = *b"\x30\x2a\x30\x05\x06\x03\x2b\x65\x70\x03\x21\x00";
@@ -159,7 +159,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
         },
         starts: 1,
         counter: OneTimeWords::new(FlashFile::open(&args.flash)?, COUNTER_PAGES).value(),
-        noise: tandem::boot::noise()?,
+        noise: tandem_processes::boot::noise()?,
     };
     loop {
         let clock = Clock::now();

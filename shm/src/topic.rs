@@ -1,7 +1,7 @@
 //! Topics: values of one type, from one publisher to several subscribers, over any transport.
 //!
 //! [`Publish`] and [`Subscribe`] are the one interface of three transports: the broadcast ring in
-//! the LMU (here), the services of iceoryx2 between processes (`tandem_board_host::services`), and
+//! the LMU (here), the services of iceoryx2 between processes (`tandem_observers`), and
 //! DDS between machines (`tandem_topics_host::typed`). `topics/host/tests/transports` checks all of
 //! them by one suite. They all promise:
 //!

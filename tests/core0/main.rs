@@ -13,7 +13,8 @@
 )]
 
 mod calls;
-#[path = "../../cli/src/control_core.rs"]
+#[expect(unreachable_pub, reason = "the module is public in its own crate")]
+#[path = "../../cli/processes/src/control_core.rs"]
 mod control_core;
 mod flood;
 #[path = "../../board/host/tests/processes/launcher.rs"]

@@ -5,7 +5,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use rustix::process::Signal;
-use tandem_board_host::services::{News, Observer, Roles};
+use tandem_observers::{News, Observer, Roles};
 
 use crate::fixture::{Fixture, Run, kill, send};
 

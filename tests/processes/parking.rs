@@ -5,8 +5,8 @@ use std::fs;
 
 use serde_json::Value;
 use tandem_board_host::clock;
-use tandem_board_host::services::News;
 use tandem_cores::driving::parking::SOC_STOP_LIMIT;
+use tandem_observers::News;
 use tandem_topics_host::approach::SPEED;
 
 use crate::fixture::{Fixture, Run, kill};

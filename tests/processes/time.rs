@@ -3,7 +3,7 @@
 use std::process::{Child, Stdio};
 
 use serde_json::Value;
-use tandem_board_host::services::{ChainedClock, News, VehicleClocks};
+use tandem_observers::{ChainedClock, News, VehicleClocks};
 use tandem_timesync::TimeStatus;
 
 use crate::fixture::{Fixture, Run, kill};

@@ -36,7 +36,6 @@ pub mod process_list;
 pub mod process_report;
 pub mod realtime;
 mod segment;
-pub mod services;
 pub mod socket;
 pub mod spawn;
 mod stamped_udp;

@@ -9,8 +9,8 @@ use foxglove::messages::{
 use foxglove::{Channel, Context, PartialMetadata, RawChannel, Schema};
 use serde_json::{Value, json};
 use tandem_board::Instant;
-use tandem_board_host::services::{Event, Frame, News, Roles, Vehicle};
 use tandem_bus::Message;
+use tandem_observers::{Event, Frame, News, Roles, Vehicle};
 
 use crate::driving::Driving;
 use crate::scene;

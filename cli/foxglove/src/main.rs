@@ -23,7 +23,7 @@ use tandem::failure::Failure;
 use tandem::foxglove::{Ready, RunToShow};
 use tandem_board_host::clock;
 use tandem_board_host::process_list;
-use tandem_board_host::services::Observer;
+use tandem_observers::Observer;
 
 use channels::Channels;
 use sinks::Sinks;

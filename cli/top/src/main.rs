@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
-use tandem_board_host::services::Observer;
+use tandem_observers::Observer;
 
 use clap::{Parser, Subcommand};
 use tandem::args::RunChoice;

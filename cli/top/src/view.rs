@@ -6,7 +6,7 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph, Sparkline};
 use tandem_board::SystemId;
-use tandem_board_host::services::{Event, Roles};
+use tandem_observers::{Event, Roles};
 
 use tandem_watch::Picture;
 
@@ -219,7 +219,7 @@ mod tests {
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
     use ratatui::buffer::Buffer;
-    use tandem_board_host::services::{Frame as BusFrame, News, Vehicle};
+    use tandem_observers::{Frame as BusFrame, News, Vehicle};
 
     /// Returns the state of a run in which B has taken over from A 12 s after the start.
     fn picture() -> Picture {

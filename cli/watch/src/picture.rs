@@ -4,12 +4,12 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use tandem_board::SystemId;
-use tandem_board_host::services::{Event, News, Roles, Vehicle};
+use tandem_observers::{Event, News, Roles, Vehicle};
 
 /// Number of stored events and gaps: as many as the terminal can show.
 const EVENTS: usize = 32;
 const GAPS: usize = 76;
-/// The value of [`tandem_board_host::services::Frame::ruling`] for an accepted control frame.
+/// The value of [`tandem_observers::Frame::ruling`] for an accepted control frame.
 const ACCEPTED: u8 = 1;
 /// A run that publishes nothing for this long counts as ended.
 const SILENT: Duration = Duration::from_secs(2);

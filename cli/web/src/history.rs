@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use tandem_board_host::services::{News, Roles};
+use tandem_observers::{News, Roles};
 use tandem_watch::Picture;
 
 /// The charts cover this time, s.
@@ -96,7 +96,7 @@ fn push<T>(into: &mut VecDeque<T>, value: T, most: usize) {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use tandem_board_host::services::{Event, Frame, Vehicle};
+    use tandem_observers::{Event, Frame, Vehicle};
 
     /// Returns a run of 90 s in which B has taken over from A at 80 s.
     pub(crate) fn history() -> History {

@@ -21,7 +21,7 @@ use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem::args::RunChoice;
 use tandem::failure::Failure;
-use tandem_board_host::services::Observer;
+use tandem_observers::Observer;
 use tandem_watch::Hands;
 
 use history::History;

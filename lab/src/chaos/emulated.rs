@@ -23,11 +23,12 @@ use super::recording_judge;
 use super::round::{HEALED_WITHIN, Injected, SUSPENDED_FOR, arguments, driver, settled};
 use crate::emulated;
 use tandem::collected::read;
-use tandem::files::RunFiles;
-use tandem::recorder::Recorder;
+use tandem::output;
 use tandem::run::{Recorded, surroundings};
-use tandem::run_config::{LimitProfile, RunConfig};
-use tandem::{output, vehicle};
+use tandem_processes::files::RunFiles;
+use tandem_processes::recorder::Recorder;
+use tandem_processes::run_config::LimitProfile;
+use tandem_processes::vehicle;
 
 /// Time without power when a system is switched off and on.
 const OFF: Duration = Duration::from_ms(50);
@@ -49,7 +50,7 @@ pub(super) fn run(source: &Source, numbers: &[u64]) -> anyhow::Result<()> {
     let folder = tempfile::tempdir().context("a folder")?;
     let board = ["--board", "qemu", "--no-bootloader"];
     let args = arguments(numbers, &folder.path().join("report"), &board)?;
-    let config = RunConfig::of(&args, LimitProfile::Rt);
+    let config = tandem::run::config_of(&args, LimitProfile::Rt);
     let files = RunFiles::within(folder.path());
     let options = MachineOptions {
         reintegrate: true,

@@ -15,8 +15,8 @@ use super::recording_judge;
 use super::round::{
     HEALED_WITHIN, Injected, SETTLED_MS, SUSPENDED_FOR, arguments, driver, settled,
 };
-use tandem::files::RunFiles;
 use tandem::run;
+use tandem_processes::files::RunFiles;
 
 const POLL_PERIOD: Duration = Duration::from_ms(10);
 /// Injects the faults with these numbers in one run.

@@ -4,9 +4,9 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use serde::Serialize;
-use tandem::world_record;
 use tandem_board::{Duration, Instant, SystemId};
 use tandem_board_sim::{Config, SimPair};
+use tandem_processes::world_record;
 use tandem_record::verdict::figures::of_drive;
 use tandem_record::verdict::{Finding, Rule};
 use tandem_sim::drive::poller;

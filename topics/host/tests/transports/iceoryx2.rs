@@ -2,7 +2,7 @@
 
 use crate::topic::Transport;
 use tandem_board_host::RunName;
-use tandem_board_host::services::{Frame, ServicePayload, ServicePublisher, ServiceSubscriber};
+use tandem_observers::{Frame, ServicePayload, ServicePublisher, ServiceSubscriber};
 
 pub(crate) struct Service(RunName);
 

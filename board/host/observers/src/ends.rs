@@ -11,7 +11,7 @@ use iceoryx2::prelude::{
 };
 use tandem_shm::topic::{Publish, Subscribe};
 
-use crate::name::RunName;
+use tandem_board_host::RunName;
 
 /// Maximum number of simultaneous observers of a run.
 const OBSERVERS: usize = 8;

@@ -21,14 +21,14 @@ pub struct CanGroup {
 }
 
 /// The vehicle's end.
-pub(crate) struct CanUdp(UdpBus);
+pub struct CanUdp(UdpBus);
 
 impl CanUdp {
     /// Joins the group.
     ///
     /// # Errors
     /// An error of the operating system, usually because there is no route to the group.
-    pub(crate) fn join(at: CanGroup) -> io::Result<Self> {
+    pub fn join(at: CanGroup) -> io::Result<Self> {
         let bus = UdpBus::join(at.group, at.port)?;
         bus.set_polled()?;
         Ok(Self(bus))

@@ -11,8 +11,8 @@ pub use ends::{SampleNumber, ServiceError, ServicePayload, ServicePublisher, Ser
 use iceoryx2::prelude::ZeroCopySend;
 use tandem_shm::topic::Subscribe;
 
-use crate::name::RunName;
-use crate::process_list;
+use tandem_board_host::RunName;
+use tandem_board_host::process_list;
 
 /// Capacities of [`Event::text`] and of a CAN FD frame's data, in bytes.
 const TEXT_BYTES: usize = 112;

@@ -16,7 +16,7 @@ use tandem_cores::{Config, Core};
 ///
 /// # Errors
 /// If the run has ended, or the arguments are not from this program.
-pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
+pub fn run(args: &CoreArgs) -> anyhow::Result<()> {
     let run = RunConfig::from_extra(&args.common.extra)?;
     let grant = args.claim();
     match (&args.application, &run.program_flash) {
@@ -51,7 +51,7 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
 }
 
 /// Returns the time limits of the cores in a run.
-pub(crate) fn config(run: &RunConfig) -> Config {
+pub fn config(run: &RunConfig) -> Config {
     let mut config = match run.profile {
         LimitProfile::Rt => Config::rt(),
         LimitProfile::Desktop => Config::desktop(),

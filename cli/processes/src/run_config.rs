@@ -13,8 +13,6 @@ use tandem_board_host::Alarm;
 use tandem_record::verdict::Limits;
 use tandem_redundancy::Budget;
 
-use crate::args::CanKind;
-use crate::args::RunArgs;
 use crate::boot::ProgramFlashes;
 use crate::can_udp::CanGroup;
 use crate::files::RunFiles;
@@ -143,24 +141,6 @@ pub fn write_lines(path: &Path, lines: &[String]) -> anyhow::Result<()> {
 }
 
 impl RunConfig {
-    /// Returns the configuration that the command line describes, without program flashes.
-    pub fn of(args: &RunArgs, profile: LimitProfile) -> Self {
-        Self {
-            scenario: args.scenario.clone(),
-            seed: args.seed,
-            duration_s: args.duration,
-            profile,
-            reintegrate: args.reintegrate,
-            overrides_s: args.overrides,
-            answers_after_s: args.answers,
-            parks_from_s: args.parks_from_s(),
-            sensor_faults: args.sensor_fault.clone(),
-            sensor_timing: args.sensor_time.clone(),
-            can: can_group(args),
-            ..Self::default()
-        }
-    }
-
     /// Returns the budget from which the time limits follow.
     pub fn budget(&self) -> Budget {
         let budget = match self.profile {
@@ -215,14 +195,6 @@ impl RunConfig {
         serde_json::from_str(text)
             .context("the configuration of the run (made by this program itself)")
     }
-}
-
-/// Returns where other programs hear the bus, if they do.
-pub(crate) fn can_group(args: &RunArgs) -> Option<CanGroup> {
-    args.can.map(|CanKind::Udp| CanGroup {
-        group: args.can_group,
-        port: args.can_port,
-    })
 }
 
 #[cfg(test)]

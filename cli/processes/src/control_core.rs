@@ -21,7 +21,7 @@ static HELD_BACK: AtomicU32 = AtomicU32::new(0);
 /// Sleep time of the thread that watches this CPU for stalls. It is two ticks of core 0, so the
 /// timer that core 0 postpones is never the next timer of the CPU. If it were the next one, the
 /// kernel would have to reprogram the hardware at each tick.
-pub(crate) const WATCH_PERIOD: Duration = Duration::from_ms(2);
+pub const WATCH_PERIOD: Duration = Duration::from_ms(2);
 
 /// Makes each tick postpone the end of that sleep from now on. Only the first call has an effect.
 pub(crate) fn postpone_at_ticks(alarm: Alarm) {

@@ -201,7 +201,7 @@ fn runs(system: SystemId, (stage, version): Told) -> String {
 }
 
 /// Returns what the results of the updates to a release, one line each, say against the run.
-pub(crate) fn objections(results: &str, release: u32) -> Vec<String> {
+pub fn objections(results: &str, release: u32) -> Vec<String> {
     let last = |system: SystemId| {
         let about = format!("{system} runs release ");
         results.lines().rfind(|line| line.starts_with(&about))
