@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::{Context as _, anyhow};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tandem_exec_host::launcher::{self, GuardEnd, GuardPlan, PlatformState, ProcessLauncher, Told};
-use tandem_exec_host::manifest::Manifest;
+use tandem_manifest::Manifest;
 
 use crate::args::{ExecArgs, ExecCommand, ExecRunArgs, ManifestArgs};
 use crate::exec_sign;
@@ -143,7 +143,7 @@ fn check(args: &ManifestArgs) -> Result<(), Failure> {
 
 fn rows(manifest: &Manifest, names: &dyn Fn(&[usize]) -> String) -> Vec<Vec<String>> {
     let processes = manifest.processes.iter();
-    let row = |it: &tandem_exec_host::manifest::ProcessPlan| {
+    let row = |it: &tandem_manifest::ProcessPlan| {
         vec![it.name().to_owned(), names(&it.dependencies)]
     };
     processes.map(row).collect()

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, anyhow};
 use tandem_boot_host::SigningKey;
-use tandem_exec_host::manifest::Manifest;
+use tandem_manifest::Manifest;
 use tandem_exec_host::trust::sign;
 
 use crate::failure::Failure;

@@ -22,12 +22,15 @@ topics-host: board board-udp bus shm topics
 timesync: board
 timesync-host: board timesync
 exec: board shm
-exec-host: board board-host boot exec shm
+exec-host: board board-host boot exec manifest shm
+manifest: board
 vehicle: board bus timesync
 page:
-watch: board board-host
+watch: board board-host observers
 board-host: board board-udp peripherals shm
-benches: board board-host board-udp exec exec-host page rtos shm topics topics-host two-cores
+observers: board-host shm
+processes: board board-host boot boot-host bus cores record redundancy rtos runtime vehicle
+benches: board board-host board-udp exec exec-host manifest observers page rtos shm topics topics-host two-cores
 two-cores: shm
 golden: board bus cores peripherals
 record: board bus cores redundancy timesync vehicle
@@ -53,7 +56,7 @@ const ON_TOP: [&str; 8] = [
 ];
 /// The only packages that may name iceoryx2: the host board, and the benchmarks, which measure it
 /// as a peer.
-const MAY_USE_ICEORYX2: [&str; 2] = ["tandem-board-host", "tandem-benches"];
+const MAY_USE_ICEORYX2: [&str; 3] = ["tandem-board-host", "tandem-observers", "tandem-benches"];
 /// Folders whose code may be unsafe; everything else forbids it.
 const MAY_BE_UNSAFE: &[&str] = &[
     "board/host",

@@ -26,7 +26,7 @@ use tandem_board::{Duration, Instant};
 use tandem_board_host::socket::{self, DatagramSocket, LineRequest, RequestSocket};
 use tandem_board_host::{clock, spawn};
 
-use crate::manifest::Manifest;
+use tandem_manifest::Manifest;
 use crate::supervisor::{Action, Input, Outcome, Recovery, Supervisor};
 pub use crate::supervisor::{LaunchEvent, PlatformState, ProcessRow, Told};
 use crate::trust::Platform;

@@ -3,7 +3,6 @@
 #![forbid(unsafe_code)]
 
 pub mod launcher;
-pub mod manifest;
 pub mod pool;
 pub mod supervisor;
 pub mod sync;

@@ -24,7 +24,7 @@ use std::sync::Arc;
 
 use tandem_board::Instant;
 
-use crate::manifest::{Manifest, ReadyBy};
+use tandem_manifest::{Manifest, ReadyBy};
 pub use event::{LaunchEvent, PlatformState, ProcessRow, Told};
 use monitor::Monitor;
 

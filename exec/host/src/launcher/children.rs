@@ -17,7 +17,7 @@ use tandem_board_host::process_report::{CONTROL_SOCKET, NOTIFY_SOCKET};
 use tandem_board_host::spawn::{self, Placement, RealtimePolicy, Watched, Wish};
 
 use super::{Unrecoverable, notify_socket, system};
-use crate::manifest::{Manifest, ProcessPlan, SchedulingPolicy};
+use tandem_manifest::{Manifest, ProcessPlan, SchedulingPolicy};
 
 use crate::supervisor::ExitKind;
 use crate::trust::Platform;

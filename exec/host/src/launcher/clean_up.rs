@@ -10,7 +10,7 @@ use tandem_board_host::control_group::{ControlGroup, MemoryGroups};
 use tandem_board_host::spawn::{self, Placement, Watched};
 use tandem_board_host::{clock, descendants};
 
-use crate::manifest::SafeState;
+use tandem_manifest::SafeState;
 use crate::trust::Platform;
 
 /// How long killed processes may take to disappear.

@@ -4,7 +4,7 @@
 
 use tandem_board::{Duration, Instant};
 
-use crate::manifest::{DeadlineLimits, LogicalOrder, ProcessPlan};
+use tandem_manifest::{DeadlineLimits, LogicalOrder, ProcessPlan};
 
 #[derive(Debug)]
 pub(super) struct Monitor {
