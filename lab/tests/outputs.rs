@@ -95,7 +95,7 @@ fn drive(folder: &Path) -> String {
     log.unwrap_or_else(|error| panic!("{error}: {said}"))
 }
 
-/// Says for the page of suites what was compared. The test runner shows it with `--nocapture`.
+/// Says for `cargo xtask suites` what was compared. The test runner does not capture this output.
 fn compared(what: &str) {
     let _ = writeln!(std::io::stderr(), "compared: {what}");
 }
