@@ -56,7 +56,7 @@ pub(crate) fn test(root: &Path) -> Result<()> {
 }
 
 /// Copies the lines as they arrive. Returns the name of each test, and whether it passed.
-pub(crate) fn echo(from: Option<impl Read>, to: &mut impl Write) -> Vec<(String, bool)> {
+fn echo(from: Option<impl Read>, to: &mut impl Write) -> Vec<(String, bool)> {
     let mut results = Vec::new();
     let pipe = from
         .into_iter()
