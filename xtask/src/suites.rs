@@ -1,4 +1,4 @@
-//! `cargo xtask suites`: runs the suites and oracles of other projects, and writes the page on them.
+//! `cargo xtask suites`: runs the suites and tools of other projects, and writes the page on them.
 
 use crate::task_tables::placed;
 use crate::{cargo, output, read, write};
@@ -45,8 +45,8 @@ const SUITES: [Suite; 6] = [
         source: Source::Crate("iceoryx2-cal-conformance-tests"),
         tests: &["iceoryx2"],
         names: &[],
-        used_for: "iceoryx2's conformance tests of a dynamic storage, an event and a named concept, \
-                   on the host board's storage and doorbell",
+        used_for: "iceoryx2's conformance tests of a dynamic storage, an event and a named \
+                   concept, on the host board's storage and doorbell",
         left_out: "12 of 15 modules: the board implements none of their traits",
     },
     Suite {
@@ -55,7 +55,8 @@ const SUITES: [Suite; 6] = [
         names: &["autosar_e2e", "agrees_with_an_independent", "others_decode"],
         used_for: "end-to-end protection by AUTOSAR's profile 5: 45 frames of all lengths, and \
                    each frame of a drive",
-        left_out: "other profiles: no frame uses them; the counter: the package checks the CRC only",
+        left_out: "other profiles: no frame uses them; the counter: the package checks the CRC \
+                   only",
     },
     Suite {
         source: Source::Python("cantools"),
@@ -70,8 +71,8 @@ const SUITES: [Suite; 6] = [
         tests: &["outputs", "python_can"],
         names: &["python_can", "others_decode"],
         used_for: "reads a drive from candump, ASC and BLF; downloads an image over UDP multicast",
-        left_out: "a CAN FD frame without data: it takes this for a remote frame, which CAN FD does \
-                   not have",
+        left_out: "a CAN FD frame without data: it takes this for a remote frame, which CAN FD \
+                   does not have",
     },
     Suite {
         source: Source::Python("commonroad-drivability-checker"),
@@ -169,8 +170,8 @@ impl Suite {
     }
 }
 
-/// Copies the lines to the terminal as they arrive. Returns those that begin with this word, without
-/// it.
+/// Copies the lines to the terminal as they arrive. Returns the rest of those that begin with this
+/// word.
 fn lines(from: Option<impl Read>, word: &str) -> Vec<String> {
     let lines = from
         .into_iter()
