@@ -2,7 +2,8 @@
 
 `can LOG FILE`: python-can reads the log in candump format and the other file, and all frames are equal.
 `decode LOG DBC`: python-can reads the log, cantools decodes each frame, autosar-e2e checks its protection. Prints for each
-frame `id data protected name=value …`, id and data in hex, the values as numbers; 1 means protected, 0 not.
+frame `id data protected name=value …`, id and data in hex, the values as numbers; 1 means protected, 0 not. A frame that is
+not in the DBC has no value.
 `solutions SCENARIOS SOLUTIONS`: commonroad-io reads each `solution_NAME` of the folder. Prints in a line NAME, the
 benchmark id, the number of states and, after a tab each, what the drivability checker says.
 """
@@ -52,11 +53,12 @@ def decode(log, dbc):
     import cantools
     import e2e
 
-    messages = cantools.database.load_file(dbc)
+    messages = {it.frame_id: it for it in cantools.database.load_file(dbc).messages}
     with can.LogReader(log) as reader:
         for it in reader:
             data = bytes(it.data)
-            values = messages.decode_message(it.arbitration_id, data, decode_choices=False)
+            message = None if it.is_extended_id else messages.get(it.arbitration_id)
+            values = message.decode(data, decode_choices=False) if message else {}
             protected = int("Crc" in values and e2e.p05.e2e_p05_check(data, it.arbitration_id))
             print(f"{it.arbitration_id:x}", data.hex(), protected, *(f"{k}={v!r}" for k, v in values.items()))
 

@@ -143,7 +143,9 @@ impl Suite {
         let mut command = cargo(root, &self.arguments());
         println!("$ {command:?}");
         // Only what ships is counted.
-        command.env_remove("TANDEM_SCENARIOS");
+        command
+            .env_remove("TANDEM_SCENARIOS")
+            .env_remove("TANDEM_DRIVE");
         command.envs(REQUIRED.map(|name| (name, "1")));
         let mut child = command
             .stdout(Stdio::piped())
