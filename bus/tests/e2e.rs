@@ -1,6 +1,9 @@
 //! Tests the end-to-end protection with published values and against its own rules.
 #![allow(clippy::unwrap_used)]
 
+use std::io::Write as _;
+use std::process::Command;
+
 use crc::{CRC_16_IBM_3740, Crc};
 use proptest::prelude::*;
 use tandem_bus::e2e::{Check, Checker, HEADER_LEN, MAX_DELTA_COUNTER, protect};
@@ -58,6 +61,28 @@ fn agrees_with_an_independent_implementation() {
         frames += 1;
     }
     assert_eq!(frames, 45);
+}
+
+/// autosar-e2e, installed, makes the same frames as it did for the fixture.
+#[test]
+fn the_fixture_is_what_autosar_e2e_makes() {
+    let test = "the_fixture_is_what_autosar_e2e_makes";
+    let script = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/tests/fixtures/e2e_profile5.py"
+    );
+    let python = |arguments: &[&str]| Command::new("python3").args(arguments).output().unwrap();
+    if !python(&["-c", "import e2e"]).status.success() {
+        let required = std::env::var_os("TANDEM_REQUIRE_ORACLES").is_some_and(|value| value == "1");
+        assert!(!required, "{test}: pip install autosar-e2e==1.0.0");
+        // The test runner does not capture this output, so a skipped test is visible.
+        let _ = writeln!(std::io::stderr(), "{test}: skipped: no autosar-e2e");
+        return;
+    }
+    let made = python(&[script]);
+    assert!(made.status.success(), "{made:?}");
+    let made = String::from_utf8(made.stdout).unwrap();
+    assert_eq!(made, include_str!("fixtures/e2e_profile5.txt"));
 }
 
 /// Tests the whole table of [`Checker`]: every pair of counters.

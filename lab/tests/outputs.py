@@ -1,11 +1,15 @@
 """Reads with other programs' libraries what tandem-lab writes.
 
 `can LOG FILE`: python-can reads the log in candump format and the other file, and all frames are equal.
-`solution SCENARIO FILE`: commonroad-io reads the solution. Prints its benchmark id, the number of its states and what the
-drivability checker says of it.
+`decode LOG DBC`: python-can reads the log, cantools decodes each frame, autosar-e2e checks its protection. Prints for each
+frame `id data protected name=value …`, id and data in hex, the values as numbers; 1 means protected, 0 not. A frame that is
+not in the DBC has no value.
+`solutions SCENARIOS SOLUTIONS`: commonroad-io reads each `solution_NAME` of the folder. Prints in a line NAME, the
+benchmark id, the number of states and, after a tab each, what the drivability checker says.
 """
 
 import sys
+from pathlib import Path
 
 
 def frame(message, start):
@@ -44,24 +48,45 @@ def compare_logs(log, file):
     print(len(found))
 
 
+def decode(log, dbc):
+    import can
+    import cantools
+    import e2e
+
+    messages = {it.frame_id: it for it in cantools.database.load_file(dbc).messages}
+    with can.LogReader(log) as reader:
+        for it in reader:
+            data = bytes(it.data)
+            message = None if it.is_extended_id else messages.get(it.arbitration_id)
+            values = message.decode(data, decode_choices=False) if message else {}
+            protected = int("Crc" in values and e2e.p05.e2e_p05_check(data, it.arbitration_id))
+            print(f"{it.arbitration_id:x}", data.hex(), protected, *(f"{k}={v!r}" for k, v in values.items()))
+
+
+def check_solutions(scenarios, solutions):
+    for file in sorted(Path(solutions).iterdir()):
+        name = file.name.removeprefix("solution_")
+        print(name, *check_solution(Path(scenarios) / name, file), sep="\t")
+
+
 def check_solution(scenario_file, file):
     from commonroad.common.file_reader import CommonRoadFileReader
     from commonroad.common.solution import CommonRoadSolutionReader
 
-    scenario, problems = CommonRoadFileReader(scenario_file).open()
-    solution = CommonRoadSolutionReader.open(file)
+    scenario, problems = CommonRoadFileReader(str(scenario_file)).open()
+    solution = CommonRoadSolutionReader.open(str(file))
     (own,) = solution.planning_problem_solutions
     states = own.trajectory.state_list
     steps = [state.time_step for state in states]
     start = problems.planning_problem_dict[own.planning_problem_id].initial_state
     assert str(solution.scenario_id) == str(scenario.scenario_id), solution.benchmark_id
     assert steps == list(range(start.time_step, start.time_step + len(steps))), steps
-    print(solution.benchmark_id)
-    print(len(states))
+    yield solution.benchmark_id
+    yield len(states)
     try:
         from commonroad_dc.feasibility import solution_checker as checker
     except ImportError as error:
-        print(f"checker: {error}")
+        yield f"checker: {error}"
         return
     # All of valid_solution() except the road's boundary, for which the checker needs a package that is not free.
     for name, check in [
@@ -72,10 +97,10 @@ def check_solution(scenario_file, file):
         ("feasible", lambda: all(it[0] for it in checker.solution_feasible(solution, scenario.dt, problems).values())),
     ]:
         try:
-            print(f"{name}: {'yes' if check() else 'no'}")
+            yield f"{name}: {'yes' if check() else 'no'}"
         except checker.SolutionCheckerException as error:
-            print(f"{name}: no, {str(error).splitlines()[0]}")
+            yield f"{name}: no, {str(error).splitlines()[0]}"
 
 
 if __name__ == "__main__":
-    {"can": compare_logs, "solution": check_solution}[sys.argv[1]](*sys.argv[2:])
+    {"can": compare_logs, "decode": decode, "solutions": check_solutions}[sys.argv[1]](*sys.argv[2:])

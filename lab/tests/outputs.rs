@@ -4,6 +4,7 @@
     reason = "a test ends where something is not as it must be"
 )]
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::Write as _;
@@ -11,7 +12,10 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use tandem_bus::candump::{CandumpFrame, Id};
+use tandem_bus::{FrameError, Message};
 
+const DBC: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../bus/dbc/tandem.dbc");
+const SCENARIOS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../vehicle/scenarios");
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/outputs.py");
 
 /// Returns whether Python has these packages. Without them a test passes and prints that it was
@@ -81,8 +85,23 @@ fn all_kinds() -> String {
     log
 }
 
+/// Drives 70 s behind another vehicle, all cores and sensors, in virtual time. Returns the log, the
+/// content of `report/candump.log`.
+fn drive(folder: &Path) -> String {
+    let drive = ["sim", "--closed-loop", "--only", "values:1"];
+    let driven = tandem(folder, &[&drive[..], &["--out", "report"]].concat());
+    let said = String::from_utf8_lossy(&driven.stderr);
+    let log = fs::read_to_string(folder.join("report/candump.log"));
+    log.unwrap_or_else(|error| panic!("{error}: {said}"))
+}
+
+/// Says for `cargo xtask suites` what was compared. The test runner does not capture this output.
+fn compared(what: &str) {
+    let _ = writeln!(std::io::stderr(), "compared: {what}");
+}
+
 /// python-can reads the same frames from ASC and BLF as from the log in candump format: of every
-/// kind of frame, and of a drive in virtual time.
+/// kind of frame, and of a whole drive.
 #[test]
 fn python_can_reads_converted_logs() {
     let test = "python_can_reads_converted_logs";
@@ -92,19 +111,100 @@ fn python_can_reads_converted_logs() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     fs::write(folder.join("kinds.log"), all_kinds()).unwrap();
-    let drive = ["sim", "--only", "random:1", "--out", "report"];
-    let driven = tandem(folder, &drive);
-    let said = String::from_utf8_lossy(&driven.stderr);
-    assert!(folder.join("report/candump.log").exists(), "{said}");
-    for (from, log) in [("kinds.log", "kinds.log"), ("report", "report/candump.log")] {
+    let frames = drive(folder).lines().count();
+    for (from, log, to) in [
+        ("kinds.log", "kinds.log", "drive.asc"),
+        ("kinds.log", "kinds.log", "drive.blf"),
+        ("report", "report/candump.log", "drive.asc"),
+        ("report", "report/candump.log", "drive.blf"),
+    ] {
         let lines = fs::read_to_string(folder.join(log)).unwrap();
-        for to in ["drive.asc", "drive.blf"] {
-            let converted = tandem(folder, &["can-log", from, to]);
-            assert!(converted.status.success(), "{converted:?}");
-            let count = oracle(folder, &["can", log, to]);
-            assert_eq!(count.trim(), lines.lines().count().to_string());
-        }
+        let converted = tandem(folder, &["can-log", from, to]);
+        assert!(converted.status.success(), "{converted:?}");
+        let count = oracle(folder, &["can", log, to]);
+        assert_eq!(count.trim(), lines.lines().count().to_string());
     }
+    compared(&format!("{frames} frames of a drive in three formats"));
+}
+
+fn hex(digits: &str) -> Vec<u8> {
+    let byte = |at| u8::from_str_radix(&digits[at..at + 2], 16).unwrap();
+    (0..digits.len()).step_by(2).map(byte).collect()
+}
+
+/// Each frame of a whole drive: python-can reads it from the log, cantools decodes it with the DBC
+/// to the values that this product decodes, and autosar-e2e finds its protection right. The same of
+/// a run with processes, if `TANDEM_DRIVE` names its folder.
+#[test]
+fn others_decode_each_frame_of_a_drive() {
+    let test = "others_decode_each_frame_of_a_drive";
+    if !python_or_skip(test, "can, cantools, e2e", "TANDEM_REQUIRE_ORACLES") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    drive(folder);
+    let [frames, ids, values, protected] = decoded_by_others(&folder.join("report"));
+    assert!(ids > 20, "{ids} ids");
+    compared(&format!(
+        "{frames} frames of {ids} ids, {values} values, {protected} frames with protection"
+    ));
+    if let Some(run) = std::env::var_os("TANDEM_DRIVE") {
+        let [frames, ..] = decoded_by_others(Path::new(&run));
+        assert!(frames > 0, "no frame");
+        compared(&format!("{frames} frames of a run"));
+    }
+}
+
+/// Compares each frame of the log in this folder with what the others read. Returns the numbers of
+/// frames, ids, values, and protected frames.
+fn decoded_by_others(folder: &Path) -> [usize; 4] {
+    let log = fs::read_to_string(folder.join("candump.log")).unwrap();
+    let theirs = oracle(folder, &["decode", "candump.log", DBC]);
+    let (frames, count) = (log.lines().count(), theirs.lines().count());
+    assert_eq!(frames, count);
+    let (mut ids, mut values, mut protected) = (BTreeSet::new(), 0, 0);
+    for (line, theirs) in log.lines().zip(theirs.lines()) {
+        let (_, frame) = line.rsplit_once(' ').unwrap();
+        // Frames of time are classic CAN, `id#data`, the others CAN FD, `id##1data`.
+        let (id, data) = frame.split_once('#').unwrap();
+        let digits = data.strip_prefix("#1").unwrap_or(data);
+        let id = u32::from_str_radix(id, 16).unwrap();
+        let mut words = theirs.split(' ');
+        let mut word = || words.next().unwrap().to_owned();
+        let [their_id, their_data, is_protected] = [word(), word(), word()];
+        assert_eq!(u32::from_str_radix(&their_id, 16), Ok(id), "{line}");
+        assert_eq!(their_data.to_uppercase(), digits, "{line}");
+        let message = match Message::decode(id, &hex(digits)) {
+            Ok(message) => message,
+            // Such as the bootloader's: it is in no DBC.
+            Err(error) => {
+                assert_eq!(error, FrameError::UnknownId, "{line}");
+                assert_eq!(words.next(), None, "{line}");
+                continue;
+            }
+        };
+        let has_e2e = message.frame().has_e2e;
+        assert_eq!(is_protected, if has_e2e { "1" } else { "0" }, "{line}");
+        let mut read: BTreeMap<&str, f64> = words
+            .map(|pair| pair.split_once('=').unwrap())
+            .map(|(name, value)| (name, value.parse().unwrap()))
+            .collect();
+        message.values(|name, value| {
+            let theirs = read.remove(name).unwrap();
+            // The precision of an `f32`.
+            let near = 1e-6 * value.abs().max(theirs.abs());
+            let is_near = (value - theirs).abs() <= near;
+            assert!(is_near, "{line}: {name} is {theirs} in cantools");
+            values += 1;
+        });
+        let rest: Vec<&str> = read.into_keys().collect();
+        let expected: &[&str] = if has_e2e { &["Counter", "Crc"] } else { &[] };
+        assert_eq!(rest, expected, "{line}");
+        protected += usize::from(has_e2e);
+        ids.insert(id);
+    }
+    [frames, ids.len(), values, protected]
 }
 
 /// A log or a name that is wrong is an error of usage, and no file is written.
@@ -132,54 +232,34 @@ fn what_is_no_log_is_not_converted() {
     assert_eq!(fs::read_dir(folder).unwrap().count(), 3);
 }
 
-/// commonroad-io reads each drive as a solution, and the drivability checker finds it feasible,
-/// without a collision, and at the goal.
-#[test]
-fn the_drivability_checker_accepts_drives() {
-    let test = "the_drivability_checker_accepts_drives";
-    if !python_or_skip(test, "commonroad", "TANDEM_REQUIRE_COMMONROAD") {
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    fs::create_dir(folder.join("files")).unwrap();
-    // Shorter steps, and a goal that is reached after 6 s.
-    let text = include_str!("../../vehicle/scenarios/stop-and-go.xml")
-        .replace("timeStepSize=\"0.5\"", "timeStepSize=\"0.1\"");
-    let (before, goal) = text.split_once("<goalState>").unwrap();
-    let start = "<intervalStart>0</intervalStart>";
-    let later = goal.replacen(start, "<intervalStart>60</intervalStart>", 1);
-    fs::write(
-        folder.join("files/later.xml"),
-        format!("{before}<goalState>{later}"),
-    )
-    .unwrap();
-    fs::write(
-        folder.join("files/none.xml"),
-        text.replace("<planningProblem id=\"1\"", "<planningProblem"),
-    )
-    .unwrap();
-    let judge = ["judge", "files", "--duration", "10s"];
-    let files = ["--solutions", "solutions", "--json", "judged.json"];
-    let judged = tandem(folder, &[&judge[..], &files].concat());
-    assert!(judged.status.success(), "{judged:?}");
-    let names: Vec<_> = fs::read_dir(folder.join("solutions")).unwrap().collect();
-    assert_eq!(names.len(), 1, "{names:?}");
-    let figures = fs::read_to_string(folder.join("judged.json")).unwrap();
-    assert!(figures.contains("no solution: the planning problem has no id"));
-
-    let arguments = [
-        "solution",
-        "files/later.xml",
-        "solutions/solution_later.xml",
+/// Makes the embedded scenarios with steps of 0.1 s and a goal after 10 s. With the steps of the
+/// shipped files, 0.5 s, the checker's own integration would be too coarse for a hard brake.
+fn fine_scenarios(folder: &Path) {
+    let script = fs::read_to_string(format!("{SCENARIOS}/generate.py")).unwrap();
+    let fine = [
+        ("STEP_S = 0.5\n", "STEP_S = 0.1\n"),
+        ("timeStepSize=\"0.5\"", "timeStepSize=\"0.1\""),
+        (
+            "<intervalStart>0</intervalStart><intervalEnd>120<",
+            "<intervalStart>100</intervalStart><intervalEnd>600<",
+        ),
     ];
-    let said = oracle(folder, &arguments);
-    let lines: Vec<&str> = said.lines().collect();
-    let [benchmark, count, verdict @ ..] = &lines[..] else {
+    let script = fine.iter().fold(script, |script, (from, to)| {
+        assert_eq!(script.matches(from).count(), 1, "{from}");
+        script.replace(from, to)
+    });
+    let place = folder.join("generate.py");
+    fs::write(&place, script).unwrap();
+    let made = Command::new("python3").arg(&place).output().unwrap();
+    assert!(made.status.success(), "{made:?}");
+}
+
+/// The drivability checker accepts this text about a drive: solved, from its start to its goal,
+/// without a collision, feasible. Returns the benchmark and the number of states.
+fn accepted<'a>(test: &str, said: &'a str) -> (&'a str, usize) {
+    let [_, benchmark, count, verdict @ ..] = &said.split('\t').collect::<Vec<_>>()[..] else {
         panic!("{said}");
     };
-    assert!(benchmark.starts_with("ST2:JB1:ZAM_Tandem-"), "{said}");
-    assert_eq!(*count, "61");
     let required = std::env::var_os("TANDEM_REQUIRE_SOLUTION_CHECKER").is_some_and(|it| it == "1");
     match verdict {
         [why] if why.starts_with("checker: ") && !required => {
@@ -190,6 +270,51 @@ fn the_drivability_checker_accepts_drives() {
             assert!(verdict.iter().all(|it| it.ends_with(": yes")), "{said}");
         }
     }
+    (*benchmark, count.parse().unwrap())
+}
+
+/// commonroad-io reads each judged drive as a solution, and the drivability checker finds it
+/// feasible, without a collision, and at the goal: of the embedded scenarios, and of those in the
+/// folder that `TANDEM_SCENARIOS` names.
+#[test]
+fn the_drivability_checker_accepts_drives() {
+    let test = "the_drivability_checker_accepts_drives";
+    if !python_or_skip(test, "commonroad", "TANDEM_REQUIRE_COMMONROAD") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let files = folder.join("files");
+    fs::create_dir(&files).unwrap();
+    fine_scenarios(&files);
+    let text = include_str!("../../vehicle/scenarios/stop-and-go.xml");
+    let no_id = text.replace("<planningProblem id=\"1\"", "<planningProblem");
+    fs::write(files.join("none.xml"), no_id).unwrap();
+    let judge = |files: &str, to: &str| {
+        let options = ["--solutions", to, "--json", "judged.json"];
+        let judged = tandem(folder, &[&["judge", files], &options[..]].concat());
+        assert!(judged.status.success(), "{judged:?}");
+        oracle(folder, &["solutions", files, to])
+    };
+    let said = judge("files", "solutions");
+    for said in said.lines() {
+        let (benchmark, states) = accepted(test, said);
+        assert!(benchmark.starts_with("ST2:JB1:ZAM_Tandem-"), "{said}");
+        assert_eq!(states, 101, "{said}");
+    }
+    assert_eq!(said.lines().count(), 7, "{said}");
+    let figures = fs::read_to_string(folder.join("judged.json")).unwrap();
+    assert!(figures.contains("no solution: the planning problem has no id"));
+    compared("7 drives of 10 s");
+
+    let Some(recorded) = std::env::var_os("TANDEM_SCENARIOS") else {
+        return;
+    };
+    let said = judge(recorded.to_str().unwrap(), "recorded");
+    for said in said.lines() {
+        accepted(test, said);
+    }
+    assert!(!said.is_empty(), "no recorded scenario has a solution");
 }
 
 /// bash accepts its completions, which offer the commands and the arguments of those that other

@@ -15,6 +15,7 @@ mod requirements;
 mod rooms;
 mod rta;
 mod sizes;
+mod suites;
 mod task_tables;
 mod test_runner;
 mod tidy;
@@ -151,6 +152,15 @@ enum Task {
         run: Option<PathBuf>,
         /// Only report whether the page is stale
         #[arg(long)]
+        check: bool,
+    },
+    /// Run the suites and oracles of other projects, and print what passed
+    Suites {
+        /// Write the table to docs/suites.md
+        #[arg(long)]
+        save: bool,
+        /// Run none; only report whether the page fits the suites
+        #[arg(long, conflicts_with = "save")]
         check: bool,
     },
     /// Count the host instructions of the primitives under valgrind, and compare them with
@@ -376,6 +386,7 @@ fn execute() -> Result<()> {
         Task::Figures { bench, run, check } => {
             figures::run(root, bench.as_deref(), run.as_deref(), check)
         }
+        Task::Suites { save, check } => suites::run(root, save, check),
         Task::Instructions { save } => instructions::run(root, save),
         Task::Firmware(task) => firmware::run(root, task),
         Task::Rta {
