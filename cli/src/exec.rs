@@ -143,9 +143,8 @@ fn check(args: &ManifestArgs) -> Result<(), Failure> {
 
 fn rows(manifest: &Manifest, names: &dyn Fn(&[usize]) -> String) -> Vec<Vec<String>> {
     let processes = manifest.processes.iter();
-    let row = |it: &tandem_manifest::ProcessPlan| {
-        vec![it.name().to_owned(), names(&it.dependencies)]
-    };
+    let row =
+        |it: &tandem_manifest::ProcessPlan| vec![it.name().to_owned(), names(&it.dependencies)];
     processes.map(row).collect()
 }
 

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, anyhow};
 use tandem_boot_host::SigningKey;
-use tandem_manifest::Manifest;
 use tandem_exec_host::trust::sign;
+use tandem_manifest::Manifest;
 
 use crate::failure::Failure;
 use tandem_processes::boot::{PRIVATE_DER, key};

@@ -26,13 +26,13 @@ use tandem_board::{Duration, Instant};
 use tandem_board_host::socket::{self, DatagramSocket, LineRequest, RequestSocket};
 use tandem_board_host::{clock, spawn};
 
-use tandem_manifest::Manifest;
 use crate::supervisor::{Action, Input, Outcome, Recovery, Supervisor};
 pub use crate::supervisor::{LaunchEvent, PlatformState, ProcessRow, Told};
 use crate::trust::Platform;
 use children::Children;
 use clean_up::CleanUp;
 pub use guardian::{GIVES_UP, GuardEnd, GuardPlan, NOTHING_STARTED, guard};
+use tandem_manifest::Manifest;
 
 /// The longest time between two looks at the guardian, and at processes that were left.
 const LOOK_AGAIN: Duration = Duration::from_ms(500);

@@ -24,9 +24,9 @@ use std::sync::Arc;
 
 use tandem_board::Instant;
 
-use tandem_manifest::{Manifest, ReadyBy};
 pub use event::{LaunchEvent, PlatformState, ProcessRow, Told};
 use monitor::Monitor;
+use tandem_manifest::{Manifest, ReadyBy};
 
 /// How a process ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

@@ -10,8 +10,8 @@ use tandem_board_host::control_group::{ControlGroup, MemoryGroups};
 use tandem_board_host::spawn::{self, Placement, Watched};
 use tandem_board_host::{clock, descendants};
 
-use tandem_manifest::SafeState;
 use crate::trust::Platform;
+use tandem_manifest::SafeState;
 
 /// How long killed processes may take to disappear.
 const GONE_WITHIN: Duration = Duration::from_ms(5_000);
