@@ -19,7 +19,6 @@ pub mod exec_sign;
 pub mod failure;
 pub mod files;
 mod forging;
-pub mod foxglove;
 mod gptp;
 pub mod grandmaster;
 pub mod injection;
@@ -42,7 +41,7 @@ mod timeline;
 pub mod topics;
 mod update;
 pub mod vehicle;
-mod web;
+pub mod viewer;
 pub mod world_record;
 
 use std::alloc::System;

@@ -25,7 +25,7 @@ exec: board shm
 exec-host: board board-host boot exec shm
 vehicle: board bus timesync
 page:
-watch: board board-host
+watch: board board-host bus cores
 board-host: board board-udp peripherals shm
 benches: board board-host board-udp exec exec-host page rtos shm topics topics-host two-cores
 two-cores: shm
