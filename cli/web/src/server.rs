@@ -28,7 +28,7 @@ use tandem_watch::{Hand, Hands};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot, watch};
 
 use crate::connections::Limited;
-use crate::fragments::Fragments;
+use crate::fragments::{Fragments, PlotData, Plots};
 use crate::history::History;
 use crate::live_page::page;
 use crate::state::State;
@@ -178,10 +178,13 @@ fn update(history: &History) -> String {
     struct Update<'a> {
         state: State<'a>,
         parts: Fragments,
+        plots: PlotData<'a>,
     }
+    let plots = Plots::of(history);
     let update = Update {
         state: State::of(history),
         parts: Fragments::of(history),
+        plots: plots.data(),
     };
     serde_json::to_string(&update).unwrap_or_default()
 }
