@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use std::fs::{self, File};
-use std::io::{BufRead as _, BufReader, Read as _};
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
@@ -41,17 +41,14 @@ struct Run {
 
 impl Run {
     fn start() -> Self {
-        let folder = programs();
+        Self::of("--duration 110 --scenario free-lane", programs())
+    }
+
+    /// Starts a run with these arguments, by the programs in this folder.
+    fn of(words: &str, folder: TempDir) -> Self {
         let mut process = Command::new(folder.path().join("tandem"))
-            .args([
-                "run",
-                "--web",
-                "--quiet",
-                "--duration",
-                "110",
-                "--scenario",
-                "free-lane",
-            ])
+            .args(["run", "--web", "--quiet"])
+            .args(words.split(' '))
             .current_dir(folder.path())
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -229,6 +226,42 @@ fn an_attacker_disturbs_no_run() {
         said.contains("the live page ended with signal: 9"),
         "{said}"
     );
+}
+
+/// The page shows a run in emulated machines too. Its hands say that they cannot reach it.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_run_in_emulated_machines_is_shown() {
+    let folder = programs();
+    let lab = Path::new(WEB).with_file_name("tandem-lab");
+    fs::copy(&lab, folder.path().join("tandem-lab")).unwrap();
+    let images = Path::new(WEB).parent().unwrap().with_file_name("firmware");
+    let images = images.join("riscv32imac-unknown-none-elf/release");
+    let images = std::env::var_os("TANDEM_IMAGES").map_or(images, PathBuf::from);
+    let image = images.join("controller");
+    let words = format!("--board qemu --duration 5 --firmware {}", image.display());
+    let run = Run::of(&words, folder);
+    let host = format!("127.0.0.1:{}", run.port());
+    let ask = |request: String| {
+        let mut server = TcpStream::connect((Ipv4Addr::LOCALHOST, run.port())).unwrap();
+        server.write_all(request.as_bytes()).unwrap();
+        let mut answer = String::new();
+        server.read_to_string(&mut answer).unwrap();
+        answer
+    };
+    let common = format!("Host: {host}\r\nConnection: close\r\n");
+    while !ask(format!("GET /state HTTP/1.1\r\n{common}\r\n")).contains("\"obeyed\":\"") {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let (_, token) = run.url.split_once('#').unwrap();
+    let body = r#"{"hand": "kill-supply", "system": "master"}"#;
+    let answer = ask(format!(
+        "POST /hands HTTP/1.1\r\n{common}Authorization: Bearer {token}\r\n\
+         Content-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
+        body.len()
+    ));
+    assert!(answer.contains(" 409 "), "{answer}");
+    assert!(answer.contains("no processes on this machine"), "{answer}");
 }
 
 /// Bad input is refused with exit status 2, and no server is left.
