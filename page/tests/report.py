@@ -15,6 +15,7 @@ RANGES = """
 return plots.all().map(({ place, spec, u }) => ({
   title: spec.title, scale: spec.x.scale, whole: spec.x.range, from: u.scales.x.min, to: u.scales.x.max,
   legend: place.querySelector(".u-legend").innerText, canvas: u.width,
+  isEmpty: u.data[0].length === 0, isOfStates: spec.spans.length > 0,
 }));
 """
 
@@ -66,13 +67,14 @@ def check_values(browser):
     browser.pointer("#dragged", 0.25)
     legend = "plots.all()[1].place.querySelector('.u-legend').innerText"
     settle(browser, "a value", f"return /at\\s*:?\\s*\\d+\\.\\d{{4}} s/.test({legend})")
-    plots = over_time(browser)
+    # A run without a grandmaster has nothing to draw in some plots.
+    plots = [it for it in over_time(browser) if not it["isEmpty"]]
     at = sorted(float(re.search(r"\d+\.\d{4}", it["legend"])[0]) for it in plots)
-    # Each plot names its nearest sample.
-    assert at[-1] - at[0] < 0.05, at
+    # Each plot names its nearest sample. The slowest ones are 100 ms apart.
+    assert at[-1] - at[0] < 0.15, at
     states = ("master", "standby", "–")
     assert any(it in plots[0]["legend"] for it in states[:2]), plots[0]["legend"]
-    for plot in plots[1:]:
+    for plot in [it for it in plots if not it["isOfStates"]]:
         assert any(letter.isdigit() for letter in plot["legend"].split(" s", 1)[1]), plot
 
 
