@@ -291,6 +291,7 @@ pub struct RunArgs {
     /// Show the run live in Foxglove, at this port of this machine; 0 chooses one
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
     pub foxglove: Option<u16>,
+
     /// Show the run live as a web page on this port of 127.0.0.1, as `tandem web` does; 0 is a free
     /// port
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0")]
@@ -300,7 +301,7 @@ pub struct RunArgs {
     #[arg(long)]
     pub json: bool,
 
-    /// Print only errors
+    /// Print only errors, and where the run is shown
     #[arg(long, short)]
     pub quiet: bool,
 }

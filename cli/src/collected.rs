@@ -71,14 +71,14 @@ impl Collected {
         let json = serde_json::to_string_pretty(&metrics).context("metrics.json")? + "\n";
         let period = Spans::from_ms(metrics::control_periods_ms(&self.log)).to_hgrm();
         let chain = Spans::from_ms(metrics::chain_ms(&self.log)).to_hgrm();
-        let page = report::page(&self.log, &self.timeline, &metrics);
         let trace = timeline::encode(&self.timeline, &self.log);
+        let page = report::page(&self.log, &self.timeline, &metrics, trace.begin_ns);
         for (name, content) in [
             (output::REPORT, page.into_bytes()),
             (output::METRICS, json.into_bytes()),
             (output::CONTROL_PERIOD, period.into_bytes()),
             (output::CHAIN, chain.into_bytes()),
-            (output::TRACE, trace),
+            (output::TRACE, trace.bytes),
         ] {
             let path = self.stage.path().join(name);
             fs::write(&path, content).with_context(|| format!("writing {}", path.display()))?;

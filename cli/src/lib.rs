@@ -13,7 +13,6 @@ pub mod dflash;
 pub mod exec;
 pub mod exec_sign;
 pub mod failure;
-pub mod foxglove;
 mod gptp;
 pub mod grandmaster;
 pub mod injection;
@@ -31,7 +30,7 @@ mod summary;
 mod time_figures;
 mod timeline;
 pub mod topics;
-mod web;
+pub mod viewer;
 
 use std::io::{self, Write as _};
 use std::process::ExitCode;

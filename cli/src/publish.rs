@@ -34,8 +34,8 @@ use tandem_vehicle::LoggedFrame;
 
 use crate::args::RunArgs;
 use crate::failure::Failure;
-use crate::foxglove::Showing;
 use crate::percentiles::Spans;
+use crate::viewer::Viewer;
 use tandem_processes::files::RunFiles;
 use tandem_processes::run_config::{LimitProfile, RunConfig};
 
@@ -76,24 +76,26 @@ pub(crate) struct Publishing {
     process: Child,
     over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
-    showing: Option<Showing>,
+    viewers: Vec<Viewer>,
 }
 
 impl Publishing {
-    /// Starts the publisher before the run gets its own `/dev/shm`, and what shows the run in
-    /// Foxglove; `None` if the publisher does not start.
+    /// Starts the publisher before the run gets its own `/dev/shm`, and the programs that show the
+    /// run; `None` if the publisher does not start.
     ///
     /// # Errors
-    /// [`Failure::Usage`] if the arguments ask for Foxglove, and it cannot be shown there.
+    /// [`Failure::Usage`] if the arguments ask for a view of the run that cannot be shown.
     pub(crate) fn prepare(args: &RunArgs) -> Result<Option<Self>, Failure> {
-        let showing = Showing::prepare(args)?;
+        let viewers = Viewer::all(args)?;
         match Self::start() {
             Some(publishing) => Ok(Some(Self {
-                showing,
+                viewers,
                 ..publishing
             })),
-            None if showing.is_some() => {
-                let reason = anyhow!("the publisher, which Foxglove needs, does not start");
+            None if !viewers.is_empty() => {
+                let reason = anyhow!(
+                    "the publisher, which --web, --foxglove and --mcap need, does not start"
+                );
                 Err(Failure::Usage(reason))
             }
             None => Ok(None),
@@ -118,7 +120,7 @@ impl Publishing {
             process,
             over: Arc::default(),
             thread: None,
-            showing: None,
+            viewers: Vec::new(),
         })
     }
 
@@ -135,8 +137,8 @@ impl Publishing {
             // If the publisher has ended, nothing is published.
             let _ = self.to.send(&begin);
         }
-        if let Some(showing) = &mut self.showing {
-            showing.begin(run, realtime, is_virtual);
+        for viewer in &mut self.viewers {
+            viewer.begin(run, realtime, is_virtual);
         }
     }
 
@@ -165,8 +167,8 @@ impl Publishing {
             }
             std::thread::sleep(Duration::from_millis(5));
         }
-        if let Some(showing) = self.showing.take() {
-            showing.end();
+        for viewer in self.viewers {
+            viewer.end();
         }
     }
 }

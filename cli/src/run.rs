@@ -30,7 +30,6 @@ use crate::output::{self, ReportFolder};
 use crate::publish::Publishing;
 use crate::soc::{SocEnd, SocProcess};
 use crate::stall_watch::{self, Seen, StallWatch};
-use crate::web::WebPage;
 use crate::{summary, topics};
 use tandem_processes::boot::{self, ProgramFlashes};
 use tandem_processes::can_udp::{CanGroup, CanUdp};
@@ -50,8 +49,7 @@ const TIMERS_LATE: Duration = Duration::from_ms(2);
 /// Returns the [`Failure`] whose exit status the command documents.
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
-    // Both need the `/dev/shm` that they share with observers, so they start before the launcher.
-    let web = args.web.map(WebPage::start).transpose()?;
+    // It needs the `/dev/shm` that it shares with observers, so it starts before the launcher.
     let publishing = Publishing::prepare(args)?;
     let mut launcher = Launcher::prepare()?;
     let (profile, granted) = grant(args, &checked, &launcher).map_err(Failure::Usage)?;
@@ -74,7 +72,6 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     };
     let driven = drive(args, &checked, &config, &files, &mut launcher, publishing);
     let machine = watch.end();
-    drop(web);
     let Driven {
         ended,
         soc,
@@ -421,7 +418,6 @@ pub fn check_board(args: &RunArgs) -> anyhow::Result<()> {
         ("--timing", args.timing != Timing::Auto),
         ("--stagger", args.stagger.is_some()),
         ("--grandmaster", args.grandmaster.is_some()),
-        ("--web", args.web.is_some()),
     ];
     match of_host.iter().find(|(_, given)| *given) {
         Some((option, _)) if args.board != BoardKind::Host => {

@@ -28,6 +28,21 @@ pub struct Axis {
     pub ticks: Vec<f64>,
     /// Returns the label of a value.
     pub label: fn(f64) -> String,
+    /// What its values mean.
+    pub scale: AxisScale,
+}
+
+/// What the values of an axis mean.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AxisScale {
+    /// The quantity itself.
+    Linear,
+    /// Scenario time, s.
+    Time,
+    /// The base-10 logarithm of the quantity.
+    Decades,
+    /// The number of nines of a percentile.
+    Nines,
 }
 
 impl Axis {
@@ -49,6 +64,7 @@ impl Axis {
             range,
             ticks: round_ticks(range, count),
             label: plain,
+            scale: AxisScale::Linear,
         }
     }
 
@@ -57,7 +73,37 @@ impl Axis {
     pub fn time(end_s: f64) -> Self {
         // The last step of a run is a few milliseconds before a whole second.
         let end_s = (end_s * 10.0).round() / 10.0;
-        Self::linear("", (0.0, end_s.max(0.1)), 12)
+        Self::times((0.0, end_s.max(0.1)))
+    }
+
+    /// Scenario time in this span, s.
+    #[must_use]
+    pub fn times(span_s: (f64, f64)) -> Self {
+        Self {
+            scale: AxisScale::Time,
+            ..Self::linear("", span_s, 12)
+        }
+    }
+
+    /// A percentile by its number of nines, from 0 to `rarest`.
+    #[must_use]
+    pub fn nines(rarest: i32) -> Self {
+        Self {
+            scale: AxisScale::Nines,
+            ..Self::decades("percentile", (0, rarest), percentile)
+        }
+    }
+
+    /// An axis of rows. Row 0 is at the bottom and reaches from 0 to 1.
+    #[must_use]
+    pub fn rows(count: u8, label: fn(f64) -> String) -> Self {
+        Self {
+            name: "",
+            range: (0.0, f64::from(count)),
+            ticks: (0..count).map(|row| f64::from(row) + 0.5).collect(),
+            label,
+            scale: AxisScale::Linear,
+        }
     }
 
     /// A logarithmic axis: the range in powers of ten, and every power labelled.
@@ -68,6 +114,7 @@ impl Axis {
             range: (f64::from(low), f64::from(high)),
             ticks: (low..=high).map(f64::from).collect(),
             label,
+            scale: AxisScale::Decades,
         }
     }
 
@@ -94,6 +141,7 @@ impl Axis {
             range: (low, high),
             ticks: ticks.filter(|tick| (low..=high).contains(tick)).collect(),
             label,
+            scale: AxisScale::Decades,
         })
     }
 
@@ -183,10 +231,25 @@ pub struct Series {
 /// A filled polygon.
 #[derive(Clone, Debug)]
 pub struct Polygon {
+    /// What it shows: the text of its tooltip, or empty.
+    pub name: &'static str,
     /// Its colour.
     pub color: Color,
     /// Its corners.
     pub corners: Vec<(f64, f64)>,
+}
+
+impl Polygon {
+    /// A bar in a row of [`Axis::rows`], for a state that lasted for this span.
+    #[must_use]
+    pub fn bar(name: &'static str, color: Color, (from, to): (f64, f64), row: u8) -> Self {
+        let (low, high) = (f64::from(row) + 0.14, f64::from(row) + 0.86);
+        Self {
+            name,
+            color,
+            corners: vec![(from, low), (to, low), (to, high), (from, high)],
+        }
+    }
 }
 
 /// A chart.
@@ -254,7 +317,7 @@ impl Chart {
         self.draw_axes(&mut svg);
         for shape in &self.shapes {
             let corners = shape.corners.iter().map(|corner| self.place(*corner));
-            svg.shape(corners, shape.color);
+            svg.titled_shape(corners, shape.color, shape.name);
         }
         for series in &self.series {
             self.draw_series(&mut svg, series);

@@ -1,4 +1,5 @@
-//! Self-contained pages (no scripts, no fonts, no other files), and the files for results.
+//! Self-contained pages (no fonts, no other files; scripts only for plots), and the files for
+//! results.
 //!
 //! The report of a run and the benchmark share one template, one style and one set of charts.
 #![forbid(unsafe_code)]
@@ -7,6 +8,7 @@ pub mod chart;
 pub mod format;
 pub mod hgrm;
 pub mod output;
+pub mod plot;
 pub mod svg;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -18,6 +20,40 @@ pub const STYLE: &str = include_str!("style.css");
 /// Returns a whole page.
 #[must_use]
 pub fn document(title: &str, content: &Markup) -> String {
+    whole(title, &html! {}, content)
+}
+
+/// Allows a page its own scripts and styles, and nothing from outside.
+const NOTHING_FROM_OUTSIDE: &str =
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; base-uri 'none'";
+
+/// Returns a whole page with plots ([`chart::Chart::plot`]) and with this further script. A server
+/// that has told the browser a `nonce` says it here. Without one the page tells the browser that it
+/// may load nothing.
+#[must_use]
+pub fn document_with_plots(
+    title: &str,
+    content: &Markup,
+    script: &str,
+    nonce: Option<&str>,
+) -> String {
+    let head = html! {
+        @if nonce.is_none() {
+            meta http-equiv="Content-Security-Policy" content=(NOTHING_FROM_OUTSIDE);
+        }
+        @for style in plot::STYLE { style { (PreEscaped(style)) } }
+    };
+    let content = html! {
+        noscript { p.note { "The plots of this page need JavaScript." } }
+        (content)
+        @for script in plot::SCRIPT.iter().copied().chain((!script.is_empty()).then_some(script)) {
+            script nonce=[nonce] { (PreEscaped(script)) }
+        }
+    };
+    whole(title, &head, &content)
+}
+
+fn whole(title: &str, head: &Markup, content: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -26,6 +62,7 @@ pub fn document(title: &str, content: &Markup) -> String {
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 title { "Tandem: " (title) }
                 style { (PreEscaped(STYLE)) }
+                (head)
             }
             body { main { (content) } }
         }

@@ -31,6 +31,12 @@ impl Color {
     pub const THREADS: Self = Self("threads");
     pub const SYSTEM: Self = Self("system");
 
+    /// Returns the name of its variable, without the dashes in front.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        self.0
+    }
+
     /// Returns the colour as a value in CSS.
     #[must_use]
     pub fn css(self) -> String {
@@ -146,8 +152,15 @@ impl Svg {
 
     /// A filled shape with these corners.
     pub fn shape(&mut self, corners: impl Iterator<Item = Place>, fill: Color) {
-        let (path, fill) = (path(corners), fill.css());
-        self.add(format_args!(r#"<path d="{path}Z" style="fill:{fill}"/>"#));
+        self.titled_shape(corners, fill, "");
+    }
+
+    /// A filled shape with these corners, with a tooltip.
+    pub fn titled_shape(&mut self, corners: impl Iterator<Item = Place>, fill: Color, title: &str) {
+        let (path, fill, title) = (path(corners), fill.css(), titled(title));
+        self.add(format_args!(
+            r#"<path d="{path}Z" style="fill:{fill}">{title}</path>"#
+        ));
     }
 
     /// A filled rectangle with a tooltip.

@@ -242,6 +242,7 @@ fn test(root: &Path, quick: bool) -> Result<()> {
     let files = [
         "identical",
         "feeds",
+        "live",
         "network",
         "outputs",
         "shown",

@@ -26,7 +26,7 @@ exec-host: board board-host boot exec manifest shm
 manifest: board
 vehicle: board bus timesync
 page:
-watch: board board-host observers
+watch: board board-host bus cores observers
 board-host: board board-udp peripherals shm
 observers: board-host shm
 processes: board board-host boot boot-host bus cores record redundancy rtos runtime vehicle

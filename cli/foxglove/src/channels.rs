@@ -11,21 +11,10 @@ use serde_json::{Value, json};
 use tandem_board::Instant;
 use tandem_bus::Message;
 use tandem_observers::{Event, Frame, News, Roles, Vehicle};
+use tandem_watch::{DrivingView, state_name};
 
-use crate::driving::Driving;
 use crate::scene;
 
-/// The names of the published states of a system, by their numbers.
-const STATES: [&str; 8] = [
-    "off",
-    "starting",
-    "standby",
-    "master",
-    "degraded master",
-    "safe stop",
-    "suspended",
-    "parking",
-];
 /// The code of a ruling: the vehicle has accepted the frame.
 const ACCEPTED: u8 = 1;
 /// The identifier has 29 bits.
@@ -45,7 +34,7 @@ pub(crate) struct Channels {
     vehicle: Arc<RawChannel>,
     roles: Arc<RawChannel>,
     gaps: Arc<RawChannel>,
-    driving: Driving,
+    driving: DrivingView,
     /// How much later UTC is than the clock of the run, ns; `None` before the first sample of a run
     /// in virtual time.
     ahead_ns: Option<u64>,
@@ -73,7 +62,7 @@ impl Channels {
             vehicle: figures(context, "/vehicle", &VEHICLE),
             roles: figures(context, "/roles", &ROLES),
             gaps: figures(context, "/gaps", &GAPS),
-            driving: Driving::new(),
+            driving: DrivingView::new(),
             ahead_ns: None,
             last: None,
             states: [0; 2],
@@ -151,8 +140,8 @@ impl Channels {
         let ns = self.utc(now.at_ns);
         let value = json!({
             "time": now.time_s,
-            "a": state(now.state[0]),
-            "b": state(now.state[1]),
+            "a": state_name(now.state[0]),
+            "b": state_name(now.state[1]),
             "obeyed": system(now.obeyed),
             "term": now.term,
             "takeovers": now.takeovers,
@@ -168,8 +157,8 @@ impl Channels {
                 let what = [
                     ("event", "state".to_owned()),
                     ("system", system(index as u8).to_owned()),
-                    ("from", state(*before).to_owned()),
-                    ("to", state(after).to_owned()),
+                    ("from", state_name(*before).to_owned()),
+                    ("to", state_name(after).to_owned()),
                 ];
                 self.events.log_with_time(&event(ns, ns, what), ns);
             }
@@ -262,10 +251,6 @@ fn system(code: u8) -> &'static str {
         1 => "B",
         _ => "none",
     }
-}
-
-fn state(code: u8) -> &'static str {
-    STATES.get(usize::from(code)).copied().unwrap_or("unknown")
 }
 
 fn event<const N: usize>(from: u64, to: u64, what: [(&str, String); N]) -> FoxgloveEvent {

@@ -4,11 +4,9 @@
 #![forbid(unsafe_code)]
 
 mod channels;
-mod driving;
 mod scene;
 mod sinks;
 
-use std::io::{BufRead as _, Read as _, Write as _, stdin, stdout};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -20,7 +18,7 @@ use clap::{Parser, Subcommand};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem::args::RunChoice;
 use tandem::failure::Failure;
-use tandem::foxglove::{Ready, RunToShow};
+use tandem::viewer::{self, Ready, ShownRun};
 use tandem_board_host::clock;
 use tandem_board_host::process_list;
 use tandem_observers::Observer;
@@ -97,7 +95,7 @@ fn run(args: &Arguments) -> Result<(), Failure> {
     let mut channels = Channels::new(&context);
     let sinks = Sinks::open(&context, args.mcap.as_deref(), port).map_err(Failure::Usage)?;
     if let Some(port) = sinks.port() {
-        eprintln!("{}", tandem::foxglove::address(port));
+        eprintln!("{}", address(port));
     }
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
@@ -133,31 +131,23 @@ fn beside(args: &Arguments) -> anyhow::Result<()> {
     let mut channels = Channels::new(&context);
     let opened = Sinks::open(&context, args.mcap.as_deref(), args.port);
     let ready = match &opened {
-        Ok(sinks) => Ready::At(sinks.port()),
+        Ok(sinks) => Ready::At(sinks.port().map(address)),
         Err(error) => Ready::Refused(format!("{error:#}")),
     };
-    let line = serde_json::to_string(&ready).context("an answer")?;
-    writeln!(stdout(), "{line}").context("stdout")?;
+    ready.say()?;
     let Ok(sinks) = opened else {
         return Ok(());
     };
-    let mut line = String::new();
-    stdin().lock().read_line(&mut line).context("stdin")?;
-    if line.is_empty() {
-        // The run did not start.
-        return sinks.discard();
-    }
-    let begin: RunToShow = serde_json::from_str(&line).context("the first line")?;
-    if !begin.realtime {
-        // All processes of the run have precedence.
-        let _ = rustix::process::nice(10);
-    }
-    let over = end_of_input();
-    let run = begin.run.parse().context("the name of the run")?;
-    let Some(mut observer) = subscribe(&run, &over) else {
+    let over = Arc::default();
+    let shown = viewer::run_to_show(&over)?;
+    let Some(ShownRun {
+        mut observer,
+        is_virtual,
+    }) = shown
+    else {
         return sinks.discard();
     };
-    channels.set_utc((!begin.is_virtual).then(utc_ahead_of_run).flatten());
+    channels.set_utc((!is_virtual).then(utc_ahead_of_run).flatten());
     follow(&mut observer, &mut channels, &mut || {
         over.load(Ordering::Relaxed)
     });
@@ -165,18 +155,6 @@ fn beside(args: &Arguments) -> anyhow::Result<()> {
         true => sinks.discard(),
         false => sinks.close(&channels.figures(observer.lost())),
     }
-}
-
-/// Subscribes as soon as the publisher of the run has created its services; `None` if the run ends
-/// before.
-fn subscribe(run: &tandem_board_host::RunName, over: &AtomicBool) -> Option<Observer> {
-    while !over.load(Ordering::Relaxed) {
-        if let Ok(observer) = Observer::of(run) {
-            return Some(observer);
-        }
-        std::thread::sleep(POLL);
-    }
-    None
 }
 
 /// Shows what the run publishes until it is over, and then what is left.
@@ -191,15 +169,9 @@ fn follow(observer: &mut Observer, channels: &mut Channels, is_over: &mut dyn Fn
     }
 }
 
-/// Returns what becomes true when stdin is closed.
-fn end_of_input() -> Arc<AtomicBool> {
-    let over = Arc::new(AtomicBool::new(false));
-    let ends = Arc::clone(&over);
-    std::thread::spawn(move || {
-        let _ = stdin().lock().read_to_end(&mut Vec::new());
-        ends.store(true, Ordering::Relaxed);
-    });
-    over
+/// Returns where Foxglove finds the run.
+fn address(port: u16) -> String {
+    format!("Foxglove: open a connection to ws://localhost:{port}")
 }
 
 /// Returns how much later UTC is than the clock of a run on this machine, ns.

@@ -7,7 +7,6 @@ use foxglove::messages::{
     line_primitive, scene_entity_deletion,
 };
 use tandem_bus::ClassCode;
-use tandem_cores::driving::road::CentreLine;
 use tandem_cores::driving::types::{Lanes, Object, Scene, Trajectory};
 
 /// The frame of the scenario's road.
@@ -17,8 +16,6 @@ pub(crate) const VEHICLE: &str = "vehicle";
 
 /// A perceived entity disappears after this time without a new one, ns: six periods.
 const LIFETIME_NS: u32 = 300_000_000;
-/// Distance between the points of a lane's border, m.
-const STEP_M: f32 = 4.0;
 /// Height of vehicles, which no sensor measures, m.
 const HEIGHT_M: f64 = 1.5;
 /// Length and width of the controlled vehicle as it is drawn, m.
@@ -142,11 +139,7 @@ pub(crate) fn tracks(ns: u64, scene: &Scene) -> SceneUpdate {
 
 fn track(ns: u64, object: &Object) -> SceneEntity {
     let (x, y) = (f64::from(object.x), f64::from(object.y));
-    let moves = object.vx.hypot(object.vy) > 1.0;
-    let yaw = match moves {
-        true => f64::from(object.vy.atan2(object.vx)),
-        false => 0.0,
-    };
+    let yaw = tandem_watch::yaw(object);
     let color = if object.cuts_in { CUTS_IN } else { OTHER };
     let (length, width) = (f64::from(object.length), f64::from(object.width));
     let speed = object.vx.hypot(object.vy);
@@ -181,18 +174,9 @@ pub(crate) fn lanes(ns: u64, lanes: Option<&Lanes>) -> SceneUpdate {
     let Some(lanes) = lanes else {
         return only(ns, Vec::new());
     };
-    let half = lanes.width / 2.0;
-    let mut borders = vec![half, -half];
-    borders.extend(lanes.left.map(|width| half + width));
-    borders.extend(lanes.right.map(|width| -half - width));
-    let centre = CentreLine::new(lanes);
-    let lines = borders.into_iter().map(|aside| {
-        let steps = (lanes.view_range.clamp(0.0, 300.0) / STEP_M) as u16;
-        let points = (0..=steps).map(|step| {
-            let x = f32::from(step) * STEP_M;
-            let (sin, cos) = centre.heading(x).sin_cos();
-            point(x - aside * sin, centre.y(x) + aside * cos)
-        });
+    let lines = tandem_watch::borders(lanes, 0.0, f32::INFINITY).into_iter();
+    let lines = lines.map(|border| {
+        let points = border.into_iter().map(|(x, y)| point(x, y));
         line(points.collect(), 0.15, BORDER)
     });
     let entity = SceneEntity {

@@ -9,7 +9,7 @@ use tandem_record::description::{is_holdover, time_source};
 use tandem_record::log::{ClockSample, ClockState};
 use tandem_record::{RunLog, Takeover};
 
-use super::card;
+use super::plot_card;
 use super::sections::{DOTS, line, series, time_chart};
 use crate::percentiles::DeviationFigures;
 use crate::time_figures::{CONVERGES_NS, TimeFigures};
@@ -33,6 +33,13 @@ const fn color(of: ChainClock) -> Color {
 const HOLDOVER: (&str, Color) = ("holdover", Color::WARN);
 const SOURCES: [Color; 3] = [Color::PALE, Color::GOOD, Color::CALM];
 
+fn state_name(state: &ClockState) -> &'static str {
+    match is_holdover(state.status) {
+        true => HOLDOVER.0,
+        false => time_source(state.source),
+    }
+}
+
 fn state_color(state: &ClockState) -> Color {
     if is_holdover(state.status) {
         return HOLDOVER.1;
@@ -48,7 +55,7 @@ pub(super) fn section(log: &RunLog, takeovers: &[Takeover], figures: &TimeFigure
         .map(|(code, color)| (time_source(code), Some(color)));
     let legend = legend(sources.chain([(HOLDOVER.0, Some(HOLDOVER.1))]));
     let note = "Whom each clock followed. Red dashes mark takeovers and leaps.";
-    let status = tandem_page::section("Time", &legend, note, &status(log, takeovers).svg("Time"));
+    let status = tandem_page::section("Time", &legend, note, &status(log, takeovers).plot("Time"));
     let of_samples = |value: fn(&ClockLog, &RunLog) -> Vec<(f64, f64)>, unit, style| {
         let all = ChainClock::ALL.into_iter();
         let all = all.map(|of| {
@@ -62,13 +69,13 @@ pub(super) fn section(log: &RunLog, takeovers: &[Takeover], figures: &TimeFigure
         (status)
         (table(figures))
         (deviation(log, takeovers, figures))
-        (card("Offset", "How much later another clock was than the one that heard it thought.",
+        (plot_card("Offset", "How much later another clock was than the one that heard it thought.",
             &of_samples(offsets, "µs", Style::Dots)))
-        (card("Rate", "How much faster the vehicle's time ran than the clock of each system.",
+        (plot_card("Rate", "How much faster the vehicle's time ran than the clock of each system.",
             &of_samples(rates, "ppm", Style::Line(2.0))))
-        (card("Delay", "Of the grandmaster's messages, as measured.",
+        (plot_card("Delay", "Of the grandmaster's messages, as measured.",
             &of_samples(delays, "µs", Style::Dots)))
-        (card("Skew of the control cycles", "Microseconds between the starts in A and in B.",
+        (plot_card("Skew of the control cycles", "Microseconds between the starts in A and in B.",
             &skew(log, takeovers)))
     }
 }
@@ -115,15 +122,10 @@ fn status(log: &RunLog, takeovers: &[Takeover]) -> Chart {
         let of = ChainClock::ALL.iter().rev().nth(value as usize);
         of.map_or("", |of| of.name()).to_owned()
     };
-    let y = Axis {
-        name: "",
-        range: (0.0, 3.0),
-        ticks: vec![0.5, 1.5, 2.5],
-        label: name,
-    };
+    let y = Axis::rows(3, name);
     let mut chart = time_chart(log, takeovers, 190.0, "", vec![]);
     (chart.y, chart.grid) = (y, false);
-    for (of, base) in ChainClock::ALL.into_iter().zip([2.0, 1.0, 0.0]) {
+    for (of, row) in ChainClock::ALL.into_iter().zip([2, 1, 0]) {
         let clock = log.time.clock(of);
         let mut states = clock.states.iter().peekable();
         while let Some(first) = states.next() {
@@ -139,9 +141,9 @@ fn status(log: &RunLog, takeovers: &[Takeover]) -> Chart {
                 .peek()
                 .map_or(last_ns, |it| it.at_ns.min(last_ns + LASTS_NS));
             let (left, right) = (log.seconds(first.at_ns), log.seconds(end_ns));
-            let (low, high) = (base + 0.14, base + 0.86);
-            let corners = vec![(left, low), (right, low), (right, high), (left, high)];
-            chart.shapes.push(Polygon { color, corners });
+            let name = state_name(first);
+            let bar = Polygon::bar(name, color, (left, right), row);
+            chart.shapes.push(bar);
         }
         let leaps = clock.leaps.iter().map(|leap| log.seconds(leap.at_ns));
         chart.marks.extend(leaps);
@@ -156,7 +158,7 @@ fn deviation(log: &RunLog, takeovers: &[Takeover], figures: &TimeFigures) -> Mar
         let points: Vec<_> = log.time.apart().into_iter().map(point).collect();
         let lines = vec![line("A - B", Color::A, &points)];
         let chart = converged(log, takeovers, "µs", lines);
-        return card(
+        return plot_card(
             "A and B apart",
             "How much later the time of A was than that of B.",
             &chart,
@@ -170,7 +172,7 @@ fn deviation(log: &RunLog, takeovers: &[Takeover], figures: &TimeFigures) -> Mar
     let chart = converged(log, takeovers, "µs", lines.collect());
     let note = "How much later the time of each clock was than that of the grandmaster. All read \
                 the same clock of the machine, so this is the error of the chain.";
-    card("Deviation from the grandmaster", note, &chart)
+    plot_card("Deviation from the grandmaster", note, &chart)
 }
 
 /// Draws the times between the starts of the control cycles.

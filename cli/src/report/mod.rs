@@ -6,11 +6,14 @@ mod sections;
 mod soc;
 mod top_view;
 
+use std::fmt;
+
 use maud::{Markup, html};
+use tandem_board::SystemId;
 use tandem_page::chart::Chart;
 use tandem_page::{legend, section, tile};
 use tandem_record::roles::RoleState;
-use tandem_record::verdict::Grade;
+use tandem_record::verdict::{Grade, modes};
 use tandem_record::{RunLog, Takeover, description, takeovers};
 
 use crate::metrics::Metrics;
@@ -19,13 +22,14 @@ use crate::timeline::Timeline;
 /// Rows of the event log. With more rows the important ones would be hard to find.
 const EVENT_ROWS: usize = 200;
 
-/// Returns the whole page.
-pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics) -> String {
+/// Returns the whole page. `trace_ns` is the time of the first event in the trace, ns.
+pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics, trace_ns: u64) -> String {
     let takeovers = takeovers(log);
+    let alone = alone(log);
     let content = html! {
-        (header(metrics))
+        (header(metrics, &alone))
         (tiles(metrics))
-        (roles(log, &takeovers))
+        (roles(log, &takeovers, &alone))
         (cores::timeline(log, timeline, &takeovers))
         (driving(log, &takeovers))
         (control(log, metrics, &takeovers))
@@ -42,11 +46,35 @@ pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics) -> Stri
             " (distributions, for HdrHistogram plotters), " code { "trace.perfetto-trace" }
             " (what ran when on which core, for ui.perfetto.dev)."
         }
+        (moment(log, trace_ns))
     };
-    tandem_page::document(&metrics.scenario, &content)
+    tandem_page::document_with_plots(&metrics.scenario, &content, "", None)
 }
 
-fn header(metrics: &Metrics) -> Markup {
+/// Returns the bar that names the shown span and the chosen moment, with buttons that zoom.
+fn moment(log: &RunLog, trace_ns: u64) -> Markup {
+    let start_ns = log.start_ns.unwrap_or_default();
+    html! {
+        div.moment id="moment" data-start-ns=(start_ns) data-trace-ns=(trace_ns) {
+            span.at role="status" { "A click on a time in the tables moves all plots there; a drag zooms." }
+            span.tools {
+                span.span {} " "
+                button data-zoom="0.5" aria-label="zoom in" { "+" } " "
+                button data-zoom="2" aria-label="zoom out" { "−" } " "
+                button data-zoom="whole" { "whole run" }
+            }
+        }
+    }
+}
+
+/// Returns a time that moves all plots there when it is clicked.
+fn at(at_s: f64, digits: usize) -> Markup {
+    // Avoid "-0.0000".
+    let rounded = (at_s * 1e6).round() * 1e-6 + 0.0;
+    html! { button.at data-at=(format!("{rounded:.6}")) { (format!("{rounded:.digits$} s")) } }
+}
+
+fn header(metrics: &Metrics, alone: &[Alone]) -> Markup {
     html! {
         h1 { "Scenario " (metrics.scenario) }
         p.sub {
@@ -56,6 +84,10 @@ fn header(metrics: &Metrics) -> Markup {
         }
         @for (grade, part) in metrics.verdict.parts() {
             div class=(format!("verdict {}", class(grade))) { (part) }
+        }
+        // The verdict has what is lost to the end.
+        @for it in alone.iter().filter(|it| it.until_s.is_some()) {
+            div.verdict.warn { (it) }
         }
     }
 }
@@ -123,14 +155,68 @@ fn card(title: &str, note: &str, chart: &Chart) -> Markup {
     section(title, &aside, note, &chart.svg(title))
 }
 
-fn roles(log: &RunLog, takeovers: &[Takeover]) -> Markup {
+/// Returns a section with a plot, which names its series itself.
+fn plot_card(title: &str, note: &str, chart: &Chart) -> Markup {
+    section(title, &html! {}, note, &chart.plot(title))
+}
+
+/// A time in which one system drove alone.
+struct Alone {
+    from_s: f64,
+    /// `None`: to the end of the run.
+    until_s: Option<f64>,
+    driver: Option<SystemId>,
+}
+
+impl fmt::Display for Alone {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "no redundancy from {:.1} s ", self.from_s)?;
+        match self.until_s {
+            Some(until_s) => write!(f, "to {until_s:.1} s")?,
+            None => write!(f, "to the end")?,
+        }
+        self.driver
+            .map_or(Ok(()), |driver| write!(f, ": {driver} drove alone"))
+    }
+}
+
+fn alone(log: &RunLog) -> Vec<Alone> {
+    let end_s = log.driven_s();
+    let spans = modes::alone(log).into_iter().map(|(from_s, to_s)| {
+        let within = log.accepted().filter(|frame| {
+            let at_s = log.seconds(frame.at_ns);
+            from_s <= at_s && at_s < to_s
+        });
+        Alone {
+            from_s,
+            until_s: (to_s < end_s).then_some(to_s),
+            driver: within.last().map(|frame| frame.system),
+        }
+    });
+    spans.collect()
+}
+
+fn roles(log: &RunLog, takeovers: &[Takeover], alone: &[Alone]) -> Markup {
     let states = RoleState::ALL.map(|state| (state.name(), sections::state_color(state)));
     let note = match takeovers.len() {
         0 => "What each system was, over scenario time in seconds.",
         _ => "What each system was, over scenario time in seconds. Red dashes mark takeovers.",
     };
-    let chart = sections::roles(log, takeovers).svg("Roles");
-    section("Roles", &legend(states.into_iter()), note, &chart)
+    let end_s = log.driven_s();
+    let spans = alone.iter();
+    let spans: Vec<_> = { spans.map(|it| (it.from_s, it.until_s.unwrap_or(end_s))) }.collect();
+    let chart = sections::roles(log, takeovers, &spans).plot("Roles");
+    let content = html! {
+        @if alone.is_empty() {
+            p.note { "A system that could drive stood by all the time." }
+        } @else {
+            @for it in alone {
+                p.note { (at(it.from_s, 4)) ": " (it) "." }
+            }
+        }
+        (chart)
+    };
+    section("Roles", &legend(states.into_iter()), note, &content)
 }
 
 fn driving(log: &RunLog, takeovers: &[Takeover]) -> Markup {
@@ -151,14 +237,14 @@ fn driving(log: &RunLog, takeovers: &[Takeover]) -> Markup {
             (card(view_title, &format!("From above at {at_s:.1} s: lanes, other vehicles, and the \
                 whole path of the own vehicle."), &chart))
         }
-        (card("Lateral error", "Distance of the vehicle's centre from the centre of its lane.",
+        (plot_card("Lateral error", "Distance of the vehicle's centre from the centre of its lane.",
             &sections::lateral(log, takeovers)))
-        (card("Speed", "", &sections::speed(log, takeovers)))
+        (plot_card("Speed", "", &sections::speed(log, takeovers)))
         @if let Some(chart) = gap {
-            (card("Distance to the vehicle ahead", "Bumper to bumper, in the own lane.", &chart))
+            (plot_card("Distance to the vehicle ahead", "Bumper to bumper, in the own lane.", &chart))
         }
-        (card("Acceleration", "", &acceleration))
-        (card("Longitudinal jerk", "Change of acceleration over a tenth of a second.", &jerk))
+        (plot_card("Acceleration", "", &acceleration))
+        (plot_card("Longitudinal jerk", "Change of acceleration over a tenth of a second.", &jerk))
     }
 }
 
@@ -186,10 +272,10 @@ fn control(log: &RunLog, metrics: &Metrics, takeovers: &[Takeover]) -> Markup {
         metrics.chain_max_ms,
     ];
     html! {
-        (card("Gaps between accepted control frames",
+        (plot_card("Gaps between accepted control frames",
             "As the vehicle saw them: each dot is the time since the accepted frame before.",
             &sections::gaps(log, takeovers)))
-        (card("Control period and chain latency by percentile",
+        (plot_card("Control period and chain latency by percentile",
             "Control period: by the sender's clock, within one mastership. Chain: from the \
              measurement on core 1 over core 2 to the command of core 0.",
             &sections::percentiles(log)))
@@ -227,7 +313,7 @@ fn takeover_table(metrics: &Metrics) -> Markup {
                     }
                     @for takeover in &metrics.figures.takeovers {
                         tr {
-                            td.time { (format!("{:.3} s", takeover.at_s)) }
+                            td.time { (at(takeover.at_s, 3)) }
                             td { (system(&takeover.from)) " → " (system(&takeover.to)) }
                             td { (takeover.cause) }
                             td.num { (optional_ms(takeover.detected_ms)) }
@@ -353,7 +439,7 @@ fn events(log: &RunLog) -> Markup {
             table {
                 tr { th { "at" } th { "who" } th { "what" } }
                 @for (at_s, who, what) in rows.iter().take(EVENT_ROWS) {
-                    tr { td.time { (format!("{:.4} s", (at_s * 1e4).round() / 1e4 + 0.0)) } td { (who) } td { (what) } }
+                    tr { td.time { (at(*at_s, 4)) } td { (who) } td { (what) } }
                 }
             }
             @if more > 0 { p.note { "and " (more) " more" } }

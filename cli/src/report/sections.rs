@@ -10,10 +10,12 @@ use tandem_record::log::Sample;
 use tandem_record::roles::{RoleState, timeline};
 use tandem_record::{RunLog, Takeover, ms_between};
 
-/// Largest number of points in a line. More could not be distinguished.
-const LINE_POINTS: usize = 1_500;
-/// Largest number of dots. More would only enlarge the file.
-pub(super) const DOTS: usize = 3_000;
+/// Largest number of points in a line: all of the first 80 s of a run. More would enlarge the file.
+const LINE_POINTS: usize = 4_000;
+/// Largest number of dots: all control frames of the first 80 s.
+pub(super) const DOTS: usize = 8_000;
+/// Time before the sample at which a line breaks, s. The samples are 20 ms apart.
+const BREAK_S: f64 = 0.001;
 
 /// Shorter spans are drawn with this length, ms, because a logarithmic axis has no zero.
 const SHORTEST_MS: f64 = 0.001;
@@ -100,33 +102,25 @@ fn marks(log: &RunLog, takeovers: &[Takeover]) -> Vec<f64> {
         .collect()
 }
 
-/// Draws the roles of both systems as bars.
-pub(super) fn roles(log: &RunLog, takeovers: &[Takeover]) -> Chart {
-    let name = |value: f64| {
-        if value < 1.0 {
-            "B".to_owned()
-        } else {
-            "A".to_owned()
-        }
-    };
-    let y = Axis {
-        name: "",
-        range: (0.0, 2.0),
-        ticks: vec![0.5, 1.5],
-        label: name,
-    };
+/// Draws the roles of both systems as bars, and below them when one of them was alone.
+pub(super) fn roles(log: &RunLog, takeovers: &[Takeover], alone: &[(f64, f64)]) -> Chart {
+    let y = Axis::rows(3, |value| {
+        ["alone", "B", "A"][value as usize % 3].to_owned()
+    });
     let mut chart = Chart::new(150.0, Axis::time(log.driven_s()), y);
     chart.grid = false;
-    for (system, base) in [(SystemId::A, 1.0), (SystemId::B, 0.0)] {
+    for (system, row) in [(SystemId::A, 2), (SystemId::B, 1)] {
         for span in timeline(log, system) {
             if let Some(color) = state_color(span.state) {
-                let (left, right) = (span.from_s, span.to_s);
-                let (low, high) = (base + 0.14, base + 0.86);
-                let corners = vec![(left, low), (right, low), (right, high), (left, high)];
-                chart.shapes.push(Polygon { color, corners });
+                let span_s = (span.from_s, span.to_s);
+                let bar = Polygon::bar(span.state.name(), color, span_s, row);
+                chart.shapes.push(bar);
             }
         }
     }
+    let alone =
+        { alone.iter() }.map(|span_s| Polygon::bar("no redundancy", Color::BAD, *span_s, 0));
+    chart.shapes.extend(alone);
     chart.marks = marks(log, takeovers);
     chart
 }
@@ -142,7 +136,8 @@ pub(super) fn lateral(log: &RunLog, takeovers: &[Takeover]) -> Chart {
             .replace(sample.lane)
             .is_some_and(|before| before != sample.lane)
         {
-            points.push((at_s, f64::NAN));
+            // Between the two samples: a plot has one value at a time.
+            points.push((at_s - BREAK_S, f64::NAN));
         }
         points.push((at_s, sample.lateral_error));
     }
@@ -263,7 +258,7 @@ pub(super) fn percentiles(log: &RunLog) -> Chart {
     let rarest = all().map(|point| point.0.ceil() as i32).fold(1, i32::max);
     let low = all().map(|point| point.1.floor() as i32).fold(0, i32::min);
     let top = all().map(|point| point.1.ceil() as i32).fold(1, i32::max);
-    let x = Axis::decades("percentile", (0, rarest), chart::percentile);
+    let x = Axis::nines(rarest);
     let y = Axis::decades("ms", (low, top), chart::power);
     let mut chart = Chart::new(260.0, x, y);
     chart.series = all_series;

@@ -2,6 +2,7 @@
 
 use super::*;
 use std::path::Path;
+use std::process::Command;
 
 use crate::grandmaster::GrandmasterEnd;
 use crate::metrics::Surroundings;
@@ -11,12 +12,21 @@ use crate::timeline::Timeline;
 use crate::{metrics, timeline};
 use serde_json::{Value, json};
 use tandem_board::Duration;
-use tandem_bus::ModeCode;
+use tandem_bus::{AbilityCode, ModeCode, RoleCode};
 use tandem_record::gap::Bounds;
-use tandem_record::run_log::{ControlFrame, Stall, Stood};
+use tandem_record::run_log::{ControlFrame, Stall, StatusFrame, Stood};
 use tandem_record::verdict::{Beside, Limits, Outcome, Rule, Watch};
 use tandem_redundancy::Config;
 use tandem_vehicle::Ruling;
+
+fn page(log: &RunLog, timeline: &Timeline, metrics: &metrics::Metrics) -> String {
+    super::page(
+        log,
+        timeline,
+        metrics,
+        timeline::encode(timeline, log).begin_ns,
+    )
+}
 
 fn synthetic_page() -> String {
     let log = synthetic::with_takeover(60.0);
@@ -48,9 +58,95 @@ fn the_page_needs_nothing_from_outside() {
     if let Some(path) = std::env::var_os("TANDEM_REPORT_SAMPLE") {
         std::fs::write(path, &page).unwrap();
     }
-    for outside in ["http:", "https:", "<link", "<script", "<img", "url("] {
+    // uPlot names its home in a comment.
+    let page = page.replace("https://github.com/leeoniya/uPlot", "");
+    for outside in [
+        "http:", "https:", "<link", "<img", "url(", " src=", "@import",
+    ] {
         assert!(!page.contains(outside), "{outside}");
     }
+    assert!(page.contains("default-src 'none'"));
+}
+
+/// The plots zoom and show values, a click on an event moves them all, and the page can be read in
+/// a narrow window and in dark colours, in Chromium. Skipped without it;
+/// `TANDEM_REQUIRE_CHROMIUM=1` requires it. `TANDEM_PICTURES=FOLDER` keeps pictures.
+#[test]
+fn the_plots_can_be_used_in_chromium() {
+    let starts = |program: &str| {
+        let output = Command::new(program).arg("--version").output();
+        output.is_ok_and(|output| output.status.success())
+    };
+    let programs = ["python3", "chromium", "chromedriver"];
+    if !programs.iter().all(|program| starts(program)) {
+        let required = std::env::var_os("TANDEM_REQUIRE_CHROMIUM");
+        assert!(
+            required.is_none_or(|it| it != "1"),
+            "one of {programs:?} is missing"
+        );
+        eprintln!("skipped: one of {programs:?} is missing");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report.html");
+    std::fs::write(&path, synthetic_page()).unwrap();
+    let log = synthetic::with_takeover(60.0);
+    let moment_ns = takeovers(&log)[0].at_ns;
+    let timeline = timeline::tests::around(moment_ns);
+    let begin_ns = timeline::encode(&timeline, &log).begin_ns;
+    // The page tells the time of the takeover's row, rounded to 1 µs.
+    let at_us = (log.seconds(moment_ns) * 1e6).round() as u64;
+    let in_trace_ns = log.start_ns.unwrap() + at_us * 1_000 - begin_ns;
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../page/tests/report.py");
+    let output = Command::new("python3")
+        .arg(script)
+        .arg(&path)
+        .arg(format!("{:.6}", at_us as f64 * 1e-6))
+        .arg(in_trace_ns.to_string())
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+}
+
+/// The trace begins with its first event, and the page knows when that was.
+#[test]
+fn the_page_knows_when_the_trace_begins() {
+    let log = synthetic::with_takeover(8.0);
+    let timeline = Timeline::default();
+    let begin_ns = timeline::encode(&timeline, &log).begin_ns;
+    assert!(begin_ns > 0 && begin_ns <= log.start_ns.unwrap());
+    let metrics = metrics::compute(&log, &timeline, &Surroundings::default());
+    let page = page(&log, &timeline, &metrics);
+    let said = format!("data-trace-ns=\"{begin_ns}\"");
+    assert!(page.contains(&said), "{said}");
+}
+
+/// The page says when one system drove alone: since when, until when, and which one.
+#[test]
+fn lost_redundancy_is_on_the_page_with_its_times() {
+    let mut log = synthetic::with_takeover(8.0);
+    let to_the_end = |log: &RunLog| {
+        let metrics = metrics::compute(log, &Timeline::default(), &Surroundings::default());
+        page(log, &Timeline::default(), &metrics)
+    };
+    let lost = to_the_end(&log);
+    assert!(lost.contains("no redundancy from 4.0 s to the end: B drove alone"));
+    assert!(lost.contains("data-at=\"4.000000\""));
+    // A stands by again from 6 s on.
+    let start_ns = log.start_ns.unwrap();
+    for tenth in 60..80 {
+        log.status.push(StatusFrame {
+            at_ns: start_ns + tenth * 100_000_000,
+            system: SystemId::A,
+            role: RoleCode::Standby,
+            mode: ModeCode::L3,
+            ability: AbilityCode::All,
+        });
+    }
+    let back = to_the_end(&log);
+    assert!(back.contains("no redundancy from 4.0 s to 6.0 s: B drove alone"));
+    assert!(!back.contains("to the end"));
 }
 
 #[test]
@@ -97,7 +193,7 @@ fn names_from_a_scenario_file_are_text_and_no_markup() {
         &Timeline::default(),
         &metrics::compute(&log, &Timeline::default(), &around),
     );
-    assert!(!page.contains("<script>"));
+    assert!(!page.contains("<script>alert"));
 }
 
 /// Returns the figures and the report of a run in which both systems lose power in the middle.
@@ -423,7 +519,7 @@ fn the_time_is_on_the_page_with_its_figures() {
     }
     let without = Surroundings::default();
     let metrics = metrics::compute(&log, &Timeline::default(), &without);
-    let page = super::page(&log, &Timeline::default(), &metrics);
+    let page = self::page(&log, &Timeline::default(), &metrics);
     assert!(page.contains("<h2>A and B apart</h2>"));
     assert!(!synthetic_page().contains("<h2>Time</h2>"));
 }

@@ -137,6 +137,7 @@ pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
     for lane in lanes {
         for corners in view.surface(lane) {
             chart.shapes.push(Polygon {
+                name: "",
                 color: Color::ROAD,
                 corners,
             });
@@ -167,10 +168,14 @@ pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
         length: OWN.0,
         width: OWN.1,
     };
-    let others = sample.others.iter().map(|other| (other, Color::MUTED));
-    for (vehicle, color) in others.chain([(&own, Color::A)]) {
+    let others = { sample.others.iter() }.map(|other| (other, Color::MUTED, "another vehicle"));
+    for (vehicle, color, name) in others.chain([(&own, Color::A, "the own vehicle")]) {
         if let Some(corners) = view.rectangle(vehicle) {
-            chart.shapes.push(Polygon { color, corners });
+            chart.shapes.push(Polygon {
+                name,
+                color,
+                corners,
+            });
         }
     }
     Some((log.seconds(sample.at_ns), chart))

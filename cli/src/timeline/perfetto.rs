@@ -23,8 +23,16 @@ const SEQUENCE: u32 = 1;
 const PACKET_KEY: u8 = 0x0A;
 const VEHICLE_PID: i32 = 3;
 
+/// A trace.
+pub(crate) struct Encoded {
+    /// The file.
+    pub(crate) bytes: Vec<u8>,
+    /// Time of its first event, ns. <https://ui.perfetto.dev> shows times since then.
+    pub(crate) begin_ns: u64,
+}
+
 /// Encodes the whole trace.
-pub(crate) fn encode(timeline: &Timeline, log: &RunLog) -> Vec<u8> {
+pub(crate) fn encode(timeline: &Timeline, log: &RunLog) -> Encoded {
     let mut trace = Trace::default();
     let markers = trace.track(None, "events");
     for system in SystemId::ALL {
@@ -37,7 +45,11 @@ pub(crate) fn encode(timeline: &Timeline, log: &RunLog) -> Vec<u8> {
         trace.control(timeline, system, process);
     }
     trace.vehicle(log, markers);
-    trace.into_bytes()
+    let times = trace.events.iter().map(|(at_ns, _)| *at_ns);
+    Encoded {
+        begin_ns: times.min().unwrap_or_default(),
+        bytes: trace.into_bytes(),
+    }
 }
 
 const fn pid(system: SystemId) -> i32 {

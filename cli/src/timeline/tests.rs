@@ -400,14 +400,14 @@ fn whatever_the_cores_wrote_the_trace_is_well_formed() {
     let log = synthetic::with_takeover(1.0);
     for seed in 0..100 {
         let timeline = timeline_of(&random(seed, 400));
-        check(&encode(&timeline, &log));
+        check(&encode(&timeline, &log).bytes);
         for line in &timeline.cores {
             for pair in line.steps.windows(2) {
                 assert!(line.at_ns(pair[0]) <= line.at_ns(pair[1]));
             }
         }
     }
-    check(&encode(&Timeline::default(), &RunLog::default()));
+    check(&encode(&Timeline::default(), &RunLog::default()).bytes);
 }
 
 /// Perfetto's own description of the format decodes the trace to the values that were encoded.
@@ -445,7 +445,7 @@ fn perfetto_oracle_reads_what_was_written() {
         .unwrap();
     let mut stdin = child.stdin.take().unwrap();
     stdin
-        .write_all(&encode(&timeline, &synthetic::with_takeover(1.0)))
+        .write_all(&encode(&timeline, &synthetic::with_takeover(1.0)).bytes)
         .unwrap();
     drop(stdin);
     let output = child.wait_with_output().unwrap();

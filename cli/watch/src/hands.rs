@@ -141,6 +141,11 @@ impl Hands {
         // Reap the commands that have ended.
         self.commands
             .retain_mut(|command| matches!(command.try_wait(), Ok(None)));
+        if process_list::of_run(&self.run).is_empty() {
+            // The run has ended, or its systems are emulated machines.
+            let why = "the run has no processes on this machine that a hand could reach";
+            return Err(Refused(why.to_owned()));
+        }
         let name = system.to_string();
         match hand {
             Hand::PowerOff => self.command(&["power", "off", &name]),

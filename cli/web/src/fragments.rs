@@ -4,23 +4,30 @@
 use maud::{Markup, html};
 use serde::Serialize;
 use tandem_board::SystemId;
+use tandem_cores::driving::types::Lanes;
 use tandem_page::chart::{Axis, Chart, Polygon, Series, Style};
+use tandem_page::plot::Plot;
 use tandem_page::svg::Color;
 use tandem_page::tile;
 
 use crate::history::{History, Moment};
-use crate::state::{ahead_m, events, state_name};
+use crate::state::{ahead_m, events};
+use tandem_watch::state_name;
 
-/// The view of the lane: metres behind and ahead of the vehicle.
-const LANE_VIEW_M: (f64, f64) = (-15.0, 85.0);
+/// The view of the road: metres behind and ahead of the vehicle.
+const VIEW_M: (f64, f64) = (-25.0, 90.0);
 /// Half of the displayed height of the view, m.
-const ASIDE_M: f64 = 3.8;
-/// Half of the displayed width of the lane, m: motorway lanes are 3.5 to 3.75 m wide.
-const HALF_LANE_M: f64 = 1.85;
-/// Length and half width of a vehicle in the drawing, m.
-const VEHICLE_M: (f64, f64) = (4.6, 0.95);
+const ASIDE_M: f64 = 8.0;
+/// Height of the view in its own units: a metre has the same length along and across.
+const VIEW_HEIGHT: f64 = 190.0;
+/// The lanes are drawn this much beyond the view, m: their ends are not at right angles to it.
+const BEYOND_M: f64 = 4.0;
+/// Length and width of the own vehicle in the drawing, m.
+const VEHICLE_M: (f64, f64) = (4.6, 1.9);
 /// The chart of gaps reaches at least this, ms.
 const GAP_TOP_MS: f64 = 25.0;
+/// Most shown times without redundancy that are over.
+const LOSSES: usize = 3;
 /// Rows of the event log.
 const EVENT_ROWS: usize = 16;
 
@@ -32,9 +39,6 @@ pub(crate) struct Fragments {
     system_b: String,
     tiles: String,
     lane: String,
-    roles: String,
-    gaps: String,
-    lateral: String,
     events: String,
 }
 
@@ -47,12 +51,42 @@ impl Fragments {
             system_b: system(history, SystemId::B).into_string(),
             tiles: tiles(history).into_string(),
             lane: lane(history).into_string(),
-            roles: roles(history).svg("roles over time").into_string(),
-            gaps: gaps(history).svg("gaps over time").into_string(),
-            lateral: lateral(history)
-                .svg("distance from the lane's centre")
-                .into_string(),
             events: event_table(history).into_string(),
+        }
+    }
+}
+
+/// The plots over the last minute.
+pub(crate) struct Plots {
+    roles: Chart,
+    gaps: Chart,
+    lateral: Chart,
+}
+
+/// Their data. The name of each is the id of the element that shows it.
+#[derive(Debug, Serialize)]
+pub(crate) struct PlotData<'a> {
+    roles: Plot<'a>,
+    gaps: Plot<'a>,
+    lateral: Plot<'a>,
+}
+
+impl Plots {
+    /// Returns the plots of the newest state.
+    pub(crate) fn of(history: &History) -> Self {
+        Self {
+            roles: roles(history),
+            gaps: gaps(history),
+            lateral: lateral(history),
+        }
+    }
+
+    /// Returns their data.
+    pub(crate) fn data(&self) -> PlotData<'_> {
+        PlotData {
+            roles: self.roles.data("roles"),
+            gaps: self.gaps.data("longest gap"),
+            lateral: self.lateral.data("distance"),
         }
     }
 }
@@ -85,6 +119,19 @@ fn head(history: &History) -> Markup {
             div class="verdict bad" { "the run has ended" }
         } @else {
             div class="verdict good" { "live" }
+        }
+        @if let Some(since_s) = picture.alone_since_s() {
+            div class="verdict bad" {
+                (format!("no redundancy since {since_s:.1} s"))
+                @if let Some(driver) = picture.obeyed() { ": " (driver) " drives alone" }
+            }
+        }
+        @for alone in picture.alone.iter().rev().take(LOSSES) {
+            @if let Some(until_s) = alone.until_s {
+                div class="verdict warn" {
+                    (format!("no redundancy from {:.1} s to {until_s:.1} s", alone.since_s))
+                }
+            }
         }
         @if !history.said.is_empty() {
             div class="verdict warn" { (history.said) }
@@ -146,70 +193,140 @@ fn tiles(history: &History) -> Markup {
     }
 }
 
-/// Draws the lane from above: its edges, its centre, the vehicle, and the vehicle ahead.
+/// Draws the road from above: the lanes, the planned path, the vehicle and its neighbours, as the
+/// sensors show them.
 fn lane(history: &History) -> Markup {
-    let Some(vehicle) = history.picture.vehicle else {
+    let (Some(vehicle), Some((scene, path))) = (history.picture.vehicle, &history.seen) else {
         return html! { p.note { "no vehicle yet" } };
     };
-    let x = Axis::linear("m ahead of the own vehicle", LANE_VIEW_M, 10);
+    let x = Axis::linear("m ahead of the own vehicle", VIEW_M, 10);
     let y = Axis::linear("m, left +", (-ASIDE_M, ASIDE_M), 4);
-    let mut chart = Chart::new(190.0, x, y);
+    let mut chart = Chart::new(VIEW_HEIGHT, x, y);
     chart.grid = false;
-    let (behind_m, ahead_end_m) = LANE_VIEW_M;
-    let rectangle = |(from_x, to_x): (f64, f64), (low, high): (f64, f64)| {
-        vec![(from_x, low), (to_x, low), (to_x, high), (from_x, high)]
-    };
-    chart.shapes.push(Polygon {
-        color: Color::ROAD,
-        corners: rectangle((behind_m, ahead_end_m), (-HALF_LANE_M, HALF_LANE_M)),
-    });
+    if let Some(lanes) = &scene.lanes {
+        draw_lanes(&mut chart, lanes);
+    }
+    let path = { path.points.iter() }.map(|it| (f64::from(it.x), f64::from(it.y)));
+    let path = path
+        .filter(|point| point.0 <= VIEW_M.1)
+        .map(visible)
+        .collect();
+    chart
+        .series
+        .push(series("", Color::GOOD, Style::Line(3.0), path));
+    for object in &scene.objects {
+        let (name, color) = match object.cuts_in {
+            true => ("a vehicle that cuts in", Color::WARN),
+            false => ("another vehicle", Color::MUTED),
+        };
+        let centre = (f64::from(object.x), f64::from(object.y));
+        let size = (f64::from(object.length), f64::from(object.width));
+        draw_vehicle(
+            &mut chart,
+            name,
+            color,
+            (centre, tandem_watch::yaw(object)),
+            size,
+        );
+    }
+    draw_vehicle(
+        &mut chart,
+        "the own vehicle",
+        Color::A,
+        ((0.0, 0.0), 0.0),
+        VEHICLE_M,
+    );
     let offset = vehicle.lateral_error;
-    let (length_m, half_m) = VEHICLE_M;
-    let aside = |at: f64| (at - half_m, at + half_m);
-    if let Some(gap_m) = ahead_m(vehicle.lead_gap).filter(|gap| gap + length_m < ahead_end_m) {
-        chart.shapes.push(Polygon {
-            color: Color::MUTED,
-            corners: rectangle((gap_m, gap_m + length_m), aside(0.0)),
-        });
-    }
-    chart.shapes.push(Polygon {
-        color: Color::A,
-        corners: rectangle((-length_m, 0.0), aside(offset)),
-    });
-    for (at, dashes) in [(HALF_LANE_M, ""), (0.0, "6 8"), (-HALF_LANE_M, "")] {
-        let points = vec![(behind_m, at), (ahead_end_m, at)];
-        chart
-            .series
-            .push(series("", Color::OTHER, Style::Dashed(1.0, dashes), points));
-    }
     let side = if offset >= 0.0 { "left" } else { "right" };
     html! {
         p.note {
             (format!("Lane {}: {:.2} m {side} of its centre, {:+.1} m/s² across, {:+.1} m/s² along. \
-                The vehicle ahead is drawn in the middle of the lane.",
+                Green: the planned path. Yellow: cuts in.",
                 vehicle.lane, offset.abs(), vehicle.lat_accel, vehicle.accel))
         }
-        (chart.svg("the lane from above"))
+        (chart.svg("the road from above"))
     }
 }
 
-/// Draws the roles of both systems as bars.
-fn roles(history: &History) -> Chart {
-    let y = Axis {
-        name: "",
-        range: (0.0, 2.0),
-        ticks: vec![0.5, 1.5],
-        label: |value| if value < 1.0 { "B" } else { "A" }.to_owned(),
+/// Draws the surface of the lanes and their borders. Those of the road are solid.
+fn draw_lanes(chart: &mut Chart, lanes: &Lanes) {
+    let ends_m = (VIEW_M.0 - BEYOND_M, VIEW_M.1 + BEYOND_M);
+    let borders = tandem_watch::borders(lanes, ends_m.0 as f32, ends_m.1 as f32).into_iter();
+    let point = |(x, y)| visible((f64::from(x), f64::from(y)));
+    let borders: Vec<Vec<(f64, f64)>> = borders
+        .map(|border| border.into_iter().map(point).collect())
+        .collect();
+    if let (Some(left), Some(right)) = (borders.first(), borders.last()) {
+        chart.shapes.push(Polygon {
+            name: "",
+            color: Color::ROAD,
+            corners: left.iter().chain(right.iter().rev()).copied().collect(),
+        });
+    }
+    let last = borders.len().saturating_sub(1);
+    for (index, border) in borders.into_iter().enumerate() {
+        let dashes = if index == 0 || index == last {
+            ""
+        } else {
+            "6 8"
+        };
+        let style = Style::Dashed(1.5, dashes);
+        chart.series.push(series("", Color::OTHER, style, border));
+    }
+}
+
+/// Moves a point outside the view to its edge.
+fn visible((x, y): (f64, f64)) -> (f64, f64) {
+    (x.clamp(VIEW_M.0, VIEW_M.1), y.clamp(-ASIDE_M, ASIDE_M))
+}
+
+/// Draws a vehicle with this centre, direction, length and width, if all of it is in the view.
+fn draw_vehicle(
+    chart: &mut Chart,
+    name: &'static str,
+    color: Color,
+    (centre, yaw): ((f64, f64), f64),
+    (length, width): (f64, f64),
+) {
+    let (sin, cos) = yaw.sin_cos();
+    let corner = |(along, across): (f64, f64)| {
+        let (along, across) = (along * length / 2.0, across * width / 2.0);
+        let x = centre.0 + along * cos - across * sin;
+        (x, centre.1 + along * sin + across * cos)
     };
-    let mut chart = Chart::new(150.0, Axis::linear("s", history.span_s(), 12), y);
-    chart.grid = false;
-    for (index, base) in [(0, 1.0), (1, 0.0)] {
+    let corners = [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)].map(corner);
+    let is_seen =
+        |(x, y): &(f64, f64)| (VIEW_M.0..=VIEW_M.1).contains(x) && (-ASIDE_M..=ASIDE_M).contains(y);
+    if corners.iter().all(is_seen) {
+        chart.shapes.push(Polygon {
+            name,
+            color,
+            corners: corners.to_vec(),
+        });
+    }
+}
+
+/// Draws the roles of both systems as bars, and below them when one of them was alone.
+fn roles(history: &History) -> Chart {
+    let y = Axis::rows(3, |value| {
+        ["alone", "B", "A"][value as usize % 3].to_owned()
+    });
+    let span_s = history.span_s();
+    let mut chart = Chart::new(150.0, Axis::times(span_s), y);
+    for (index, row) in [(0, 2), (1, 1)] {
         for (state, from_s, to_s) in spans(history, index) {
             if let Some(color) = state_color(state) {
-                let (low, high) = (base + 0.14, base + 0.86);
-                let corners = vec![(from_s, low), (to_s, low), (to_s, high), (from_s, high)];
-                chart.shapes.push(Polygon { color, corners });
+                let bar = Polygon::bar(state_name(state), color, (from_s, to_s), row);
+                chart.shapes.push(bar);
             }
+        }
+    }
+    let now_s = history.picture.roles.map_or(0.0, |it| it.time_s);
+    for alone in &history.picture.alone {
+        let span_s = (alone.since_s.max(span_s.0), alone.until_s.unwrap_or(now_s));
+        if span_s.0 < span_s.1 {
+            let bar = Polygon::bar("no redundancy", Color::BAD, span_s, 0);
+            chart.shapes.push(bar);
         }
     }
     chart.marks = history.takeovers_s.iter().copied().collect();
@@ -244,7 +361,7 @@ fn series(name: &str, color: Color, style: Style, points: Vec<(f64, f64)>) -> Se
 
 /// Returns a chart of one value over time, with marks at the takeovers.
 fn over_time(history: &History, y: Axis, value: impl Fn(&Moment) -> f64) -> Chart {
-    let mut chart = Chart::new(190.0, Axis::linear("s", history.span_s(), 12), y);
+    let mut chart = Chart::new(190.0, Axis::times(history.span_s()), y);
     let points = history.moments.iter().map(|it| (it.time_s, value(it)));
     chart.series = vec![series("", Color::A, Style::Line(2.0), points.collect())];
     chart.marks = history.takeovers_s.iter().copied().collect();
@@ -309,6 +426,17 @@ mod tests {
         assert!(!Fragments::of(&history).system_a.contains("obeys"));
         let states: Vec<u8> = spans(&history, 1).iter().map(|span| span.0).collect();
         assert_eq!(states, [2, 4]);
-        assert_eq!(roles(&history).marks, [80.0]);
+        let roles = roles(&history);
+        assert_eq!(roles.marks, [80.0]);
+        let alone: Vec<_> = { roles.shapes.iter() }
+            .filter(|it| it.name == "no redundancy")
+            .map(|it| it.corners[0].0)
+            .collect();
+        assert_eq!(alone, [80.0]);
+        let head = Fragments::of(&history).head;
+        assert!(
+            head.contains("no redundancy since 80.0 s: B drives alone"),
+            "{head}"
+        );
     }
 }

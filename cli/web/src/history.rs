@@ -3,8 +3,10 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use tandem_observers::{News, Roles};
-use tandem_watch::Picture;
+use tandem_board::Instant;
+use tandem_cores::driving::types::{Scene, Trajectory};
+use tandem_observers::{Frame, News, Roles};
+use tandem_watch::{DrivingView, Picture};
 
 /// The charts cover this time, s.
 pub(crate) const SPAN_S: f64 = 60.0;
@@ -34,6 +36,10 @@ pub(crate) struct History {
     pub(crate) moments: VecDeque<Moment>,
     /// Scenario times at which the obeyed system changed, s.
     pub(crate) takeovers_s: VecDeque<f64>,
+    /// What the sensors show of the road, and the path that follows from it; `None` before the
+    /// first round of the sensors.
+    pub(crate) seen: Option<(Scene, Trajectory)>,
+    driving: DrivingView,
     /// What the last hand did, in words.
     pub(crate) said: String,
 }
@@ -45,6 +51,8 @@ impl History {
             picture: Picture::new(run),
             moments: VecDeque::new(),
             takeovers_s: VecDeque::new(),
+            seen: None,
+            driving: DrivingView::new(),
             said: String::new(),
         }
     }
@@ -58,11 +66,25 @@ impl History {
     pub(crate) fn take(&mut self, news: &News) {
         let before = self.picture.roles;
         self.picture.take(news);
+        if let News::Frame(frame) = news {
+            self.perceive(frame);
+        }
         let News::Roles(now) = news else { return };
         if before.is_some_and(|before| before.takeovers < now.takeovers) {
             push(&mut self.takeovers_s, now.time_s, TAKEOVERS);
         }
         self.remember(now);
+    }
+
+    fn perceive(&mut self, frame: &Frame) {
+        let data = frame.data.get(..frame.length.into());
+        // All messages of the vehicle have identifiers of 11 bits.
+        if let (Some(data), 0) = (data, frame.flags & 1) {
+            let at = Instant::from_ns(frame.at_ns);
+            if let Some(seen) = self.driving.take(at, frame.id, data) {
+                self.seen = Some(seen);
+            }
+        }
     }
 
     fn remember(&mut self, now: &Roles) {

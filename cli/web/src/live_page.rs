@@ -12,6 +12,7 @@ const STYLE: &str = include_str!("page.css");
 pub(crate) fn page(nonce: &str) -> String {
     let empty = html! {};
     let place = |id: &str| html! { div id=(id) {} };
+    let plot = |id: &str| html! { div.plot id=(id) data-live {} };
     let content = html! {
         style { (PreEscaped(STYLE)) }
         h1 { "Live run" }
@@ -32,15 +33,14 @@ pub(crate) fn page(nonce: &str) -> String {
         }
         (section("The lane from above", &empty, "", &place("lane")))
         (section("Roles", &roles_legend(), "The last minute. A red line is a takeover.",
-            &place("roles")))
+            &plot("roles")))
         (section("Gaps in control", &empty,
             "The longest time between two accepted control frames, in each tenth of a second.",
-            &place("gaps")))
-        (section("Distance from the centre of the lane", &empty, "", &place("lateral")))
+            &plot("gaps")))
+        (section("Distance from the centre of the lane", &empty, "", &plot("lateral")))
         (section("Events", &empty, "The newest first.", &place("events")))
-        script nonce=(nonce) { (PreEscaped(SCRIPT)) }
     };
-    tandem_page::document("live", &content)
+    tandem_page::document_with_plots("live", &content, SCRIPT, Some(nonce))
 }
 
 fn roles_legend() -> Markup {
@@ -86,19 +86,26 @@ fn label(hand: Hand) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fragments::Fragments;
+    use crate::fragments::{Fragments, Plots};
     use crate::history::History;
 
     /// The page loads nothing, its script has the nonce, and it has a place for each part.
     #[test]
     fn the_page_is_one_file_with_a_place_for_each_part() {
         let page = page("0a1b");
+        // uPlot names its home in a comment.
+        let page = page.replace("https://github.com/leeoniya/uPlot", "");
         for external in ["http:", "https:", "src=", "@import", "url("] {
             assert!(!page.contains(external), "{external}");
         }
-        assert_eq!(page.matches("<script nonce=\"0a1b\">").count(), 1);
-        let parts = serde_json::to_value(Fragments::of(&History::new("x"))).unwrap();
-        for name in parts.as_object().unwrap().keys() {
+        assert_eq!(page.matches("<script nonce=\"0a1b\">").count(), 3);
+        assert_eq!(page.matches("<script").count(), 3);
+        let history = History::new("x");
+        let parts = serde_json::to_value(Fragments::of(&history)).unwrap();
+        let plots = Plots::of(&history);
+        let plots = serde_json::to_value(plots.data()).unwrap();
+        let names = [&parts, &plots].map(|it| it.as_object().unwrap().keys());
+        for name in names.into_iter().flatten() {
             assert!(page.contains(&format!("id=\"{name}\"")), "{name}");
         }
     }

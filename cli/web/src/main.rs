@@ -2,6 +2,7 @@
 //! `tandem web` replaces itself by this program, and `tandem run --web` starts it.
 #![forbid(unsafe_code)]
 
+mod connections;
 mod fragments;
 mod history;
 mod live_page;
@@ -21,6 +22,7 @@ use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem::args::RunChoice;
 use tandem::failure::Failure;
+use tandem::viewer::{self, Ready, ShownRun};
 use tandem_observers::Observer;
 use tandem_watch::Hands;
 
@@ -73,9 +75,9 @@ struct WebArgs {
     )]
     port: u16,
 
-    /// Wait until the run publishes; `tandem run --web` does
-    #[arg(long)]
-    wait: bool,
+    /// `tandem run` names the run on stdin, and ends this program by closing it
+    #[arg(long, hide = true)]
+    beside: bool,
 
     /// Print the address and the token as JSON, in one line
     #[arg(long)]
@@ -112,25 +114,41 @@ fn run(args: &WebArgs) -> Result<ExitCode, Failure> {
     let told = Told::default();
     signal_hook::flag::register(SIGINT, Arc::clone(&told.interrupted)).context("signals")?;
     signal_hook::flag::register(SIGTERM, Arc::clone(&told.over)).context("signals")?;
-    let found = match args.wait {
-        true => None,
-        false => Some(Observer::on(args.run.name.as_deref()).map_err(Failure::usage)?),
-    };
-    let token = Token::new().map_err(Failure::Usage)?;
-    let (orders, asked) = channel();
-    let server = Server::start(args.port, token.clone(), orders).map_err(Failure::Usage)?;
-    announce(args.json, &server, &token)?;
-    let observer = match found {
-        Some(observer) => Some(observer),
-        None => wait_for(args.run.name.as_deref(), &told),
-    };
-    if let Some(observer) = observer {
-        follow(observer, &server, &asked, &told)?;
+    if args.beside {
+        return beside(args.port, &told).map_err(Failure::Run);
     }
+    let observer = Observer::on(args.run.name.as_deref()).map_err(Failure::usage)?;
+    let (server, asked, token) = serve(args.port).map_err(Failure::Usage)?;
+    announce(args.json, &server, &token)?;
+    follow(observer, true, &server, &asked, &told).map_err(Failure::Run)?;
     Ok(match is_set(&told.interrupted) {
         true => ExitCode::from(INTERRUPTED),
         false => ExitCode::SUCCESS,
     })
+}
+
+/// Shows the run that `tandem run` names, until it closes stdin.
+fn beside(port: u16, told: &Told) -> anyhow::Result<ExitCode> {
+    let served = serve(port);
+    let ready = match &served {
+        Ok((server, _, token)) => Ready::At(Some(address(server, token))),
+        Err(error) => Ready::Refused(format!("--web: {error:#}")),
+    };
+    ready.say()?;
+    if let Ok((server, asked, _)) = served
+        && let Some(ShownRun { observer, .. }) = viewer::run_to_show(&told.over)?
+    {
+        follow(observer, false, &server, &asked, told)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Starts the server. Also returns the orders that arrive, and the token that they need.
+fn serve(port: u16) -> anyhow::Result<(Server, Receiver<Order>, Token)> {
+    let token = Token::new()?;
+    let (orders, asked) = channel();
+    let server = Server::start(port, token.clone(), orders)?;
+    Ok((server, asked, token))
 }
 
 /// What signals have told this program.
@@ -138,7 +156,7 @@ fn run(args: &WebArgs) -> Result<ExitCode, Failure> {
 struct Told {
     /// Ctrl-C.
     interrupted: Arc<AtomicBool>,
-    /// SIGTERM: the run is over.
+    /// SIGTERM, or `tandem run` has closed stdin: the run is over.
     over: Arc<AtomicBool>,
 }
 
@@ -154,48 +172,49 @@ fn is_set(flag: &AtomicBool) -> bool {
 
 /// Prints where the page is, and the token.
 fn announce(json: bool, server: &Server, token: &Token) -> Result<(), Failure> {
-    let port = server.port();
-    let url = format!("http://127.0.0.1:{port}/#{}", token.text());
     let text = match json {
         true => serde_json::to_string(&Start {
-            url,
+            url: url(server, token),
             token: token.text(),
-            port,
+            port: server.port(),
         })
         .context("JSON")?,
-        false => format!("live page: {url}"),
+        false => address(server, token),
     };
     tandem::print(&(text + "\n")).map_err(Failure::Run)
 }
 
-/// Waits until the run publishes; `None` after a signal.
-fn wait_for(name: Option<&str>, told: &Told) -> Option<Observer> {
-    while !told.ends() {
-        if let Ok(observer) = Observer::on(name) {
-            return Some(observer);
-        }
-        std::thread::sleep(REFRESH);
-    }
-    None
+fn url(server: &Server, token: &Token) -> String {
+    format!("http://127.0.0.1:{}/#{}", server.port(), token.text())
+}
+
+/// Returns where the page is, in words.
+fn address(server: &Server, token: &Token) -> String {
+    format!("live page: {}", url(server, token))
 }
 
 /// Collects the state, shows it, and carries out orders, until the run has ended or a signal tells
-/// to end.
+/// to end. `by_silence`: a run that publishes nothing for 2 s has ended; otherwise `told` says so.
 fn follow(
     mut observer: Observer,
+    by_silence: bool,
     server: &Server,
     asked: &Receiver<Order>,
     told: &Told,
-) -> Result<(), Failure> {
+) -> anyhow::Result<()> {
     let mut history = History::new(observer.run().as_str());
     let mut hands = Hands::on(observer.run().clone());
     let mut polled = Instant::now();
     loop {
         let begin = Instant::now();
-        history.tick(begin - polled);
+        if by_silence {
+            history.tick(begin - polled);
+        }
         polled = begin;
+        // The state of before the poll: what the run has published until then is shown.
+        let ends = told.ends();
         observer.poll(&mut |news| history.take(&news));
-        if told.ends() {
+        if ends {
             history.picture.end();
         }
         server.show(&history);
@@ -209,9 +228,7 @@ fn follow(
             match asked.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 Ok(order) => order.carry_out(&mut hands, &mut history),
                 Err(RecvTimeoutError::Timeout) => break,
-                Err(RecvTimeoutError::Disconnected) => {
-                    return Err(Failure::Run(anyhow::anyhow!("the server has ended")));
-                }
+                Err(RecvTimeoutError::Disconnected) => anyhow::bail!("the server has ended"),
             }
         }
     }

@@ -13,9 +13,12 @@ field.addEventListener("input", () => sessionStorage.setItem("token", field.valu
 
 const events = new EventSource("/events");
 events.onmessage = (message) => {
-  const { state, parts } = JSON.parse(message.data);
+  const { state, parts, plots: data } = JSON.parse(message.data);
   for (const [name, html] of Object.entries(parts)) {
     document.getElementById(name).innerHTML = html;
+  }
+  for (const [name, spec] of Object.entries(data)) {
+    plots.put(document.getElementById(name), spec);
   }
   document.body.dataset.obeyed = state.obeyed ?? "";
   if (state.ended) {

@@ -9,6 +9,7 @@ use std::convert::Infallible;
 use std::net::{Ipv4Addr, TcpListener};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
+use std::time::Duration;
 
 use anyhow::Context as _;
 use axum::body::Bytes;
@@ -26,7 +27,8 @@ use tandem_board::SystemId;
 use tandem_watch::{Hand, Hands};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot, watch};
 
-use crate::fragments::Fragments;
+use crate::connections::Limited;
+use crate::fragments::{Fragments, PlotData, Plots};
 use crate::history::History;
 use crate::live_page::page;
 use crate::state::State;
@@ -34,6 +36,11 @@ use crate::token::Token;
 
 /// Most streams at a time. Each costs a connection and the drawing of the page.
 const STREAMS_MAX: usize = 16;
+/// Most connections at a time: those of the streams, and of a few browsers beside them.
+const CONNECTIONS_MAX: usize = 64;
+/// A connection without progress ends after this time. A stream says something more often, even if
+/// the run does not publish ([`KeepAlive`]: 15 s).
+const IDLE: Duration = Duration::from_secs(40);
 /// The largest order, bytes.
 const ORDER_MAX: usize = 1_024;
 
@@ -135,6 +142,7 @@ impl Server {
         let serve = move || {
             runtime.block_on(async {
                 let listener = tokio::net::TcpListener::from_std(listener)?;
+                let listener = Limited::new(listener, CONNECTIONS_MAX, IDLE);
                 axum::serve(listener, router(Arc::new(desk))).await
             })
         };
@@ -170,10 +178,13 @@ fn update(history: &History) -> String {
     struct Update<'a> {
         state: State<'a>,
         parts: Fragments,
+        plots: PlotData<'a>,
     }
+    let plots = Plots::of(history);
     let update = Update {
         state: State::of(history),
         parts: Fragments::of(history),
+        plots: plots.data(),
     };
     serde_json::to_string(&update).unwrap_or_default()
 }

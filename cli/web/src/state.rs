@@ -4,25 +4,10 @@ use serde::Serialize;
 use tandem_board::SystemId;
 
 use crate::history::History;
+use tandem_watch::state_name;
 
-/// Names of a system's states, in the order of the codes of `TandemRoles`.
-const STATES: [&str; 8] = [
-    "off",
-    "starting",
-    "standby",
-    "master",
-    "degraded master",
-    "safe stop",
-    "suspended",
-    "parking",
-];
 /// At this distance ahead, m, the road counts as free.
 const FREE_M: f64 = 999.0;
-
-/// Returns the name of a state.
-pub(crate) fn state_name(code: u8) -> &'static str {
-    STATES.get(usize::from(code)).copied().unwrap_or("unknown")
-}
 
 /// The state of a run.
 #[derive(Debug, Serialize)]
@@ -40,6 +25,8 @@ pub(crate) struct State<'a> {
     gap_max_ms: Option<f64>,
     takeover_gap_ms: Option<f64>,
     frames_per_s: u64,
+    /// The times in which no system that could drive stood by, the newest last.
+    alone: Vec<AloneState>,
     systems: Vec<System>,
     vehicle: Option<VehicleState>,
     /// The newest first.
@@ -56,6 +43,14 @@ struct System {
     cores_alive: [bool; 3],
     /// Whether the heartbeats of each line arrive at the other system.
     heartbeats: [bool; 2],
+}
+
+/// A time without redundancy.
+#[derive(Debug, Serialize)]
+struct AloneState {
+    since_s: f64,
+    /// `null` while it lasts.
+    until_s: Option<f64>,
 }
 
 #[derive(Debug, Serialize)]
@@ -110,6 +105,12 @@ impl<'a> State<'a> {
             gap_max_ms: roles.map(|it| it.gap_max_ms),
             takeover_gap_ms: roles.map(|it| it.takeover_gap_ms),
             frames_per_s: picture.frames_per_s(),
+            alone: { picture.alone.iter() }
+                .map(|it| AloneState {
+                    since_s: it.since_s,
+                    until_s: it.until_s,
+                })
+                .collect(),
             systems: systems.unwrap_or_default(),
             vehicle: picture.vehicle.map(|it| VehicleState {
                 x_m: it.x,
@@ -163,6 +164,8 @@ mod tests {
         let state = serde_json::to_value(State::of(&history)).unwrap();
         assert_eq!(state["obeyed"], "B");
         assert_eq!(state["systems"][0]["state"], "off");
+        let alone = serde_json::json!([{"since_s": 80.0, "until_s": null}]);
+        assert_eq!(state["alone"], alone);
         assert_eq!(state["systems"][1]["state"], "degraded master");
         assert_eq!(state["events"][0]["what"], "takes over: <power level> fell");
     }

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use std::fs::{self, File};
-use std::io::{BufRead as _, BufReader};
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
@@ -15,37 +15,40 @@ const WEB: &str = env!("CARGO_BIN_EXE_tandem-web");
 /// No run of these tests takes longer than this, even on a busy machine.
 const WATCHDOG: Duration = Duration::from_secs(120);
 
+/// Returns a folder with the programs, without sources, so that no cargo builds them.
+fn programs() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let built = Path::new(WEB).with_file_name("tandem");
+    assert!(
+        built.exists(),
+        "build the workspace: {} is missing",
+        built.display()
+    );
+    for (from, name) in [(built.as_path(), "tandem"), (Path::new(WEB), "tandem-web")] {
+        fs::copy(from, folder.path().join(name)).unwrap();
+    }
+    folder
+}
+
 /// A run with a page, from programs without sources, which no cargo builds. Dropping it ends both.
 struct Run {
     process: Child,
     url: String,
     /// Kept open, so that the run may write.
-    _said: BufReader<ChildStderr>,
+    said: BufReader<ChildStderr>,
     folder: TempDir,
 }
 
 impl Run {
     fn start() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let built = Path::new(WEB).with_file_name("tandem");
-        assert!(
-            built.exists(),
-            "build the workspace: {} is missing",
-            built.display()
-        );
-        for (from, name) in [(built.as_path(), "tandem"), (Path::new(WEB), "tandem-web")] {
-            fs::copy(from, folder.path().join(name)).unwrap();
-        }
+        Self::of("--duration 110 --scenario free-lane", programs())
+    }
+
+    /// Starts a run with these arguments, by the programs in this folder.
+    fn of(words: &str, folder: TempDir) -> Self {
         let mut process = Command::new(folder.path().join("tandem"))
-            .args([
-                "run",
-                "--web",
-                "--quiet",
-                "--duration",
-                "110",
-                "--scenario",
-                "free-lane",
-            ])
+            .args(["run", "--web", "--quiet"])
+            .args(words.split(' '))
             .current_dir(folder.path())
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -59,7 +62,7 @@ impl Run {
         Self {
             process,
             url: url.unwrap_or_else(|| panic!("no address: {line}")),
-            _said: said,
+            said,
             folder,
         }
     }
@@ -81,9 +84,12 @@ impl Run {
         assert!(output.status.success(), "{said}");
     }
 
-    /// Ends the run by Ctrl-C. Checks that its page has ended with it.
-    fn interrupt(mut self) {
+    /// Ends the run by Ctrl-C. Checks that its page has ended with it. Returns what the run has
+    /// said.
+    fn interrupt(mut self) -> String {
         kill_process(Pid::from_child(&self.process), Signal::INT).unwrap();
+        let mut said = String::new();
+        self.said.read_to_string(&mut said).unwrap();
         let status = self.process.wait().unwrap();
         assert_eq!(status.code(), Some(130));
         assert!(TcpStream::connect((Ipv4Addr::LOCALHOST, self.port())).is_err());
@@ -93,6 +99,21 @@ impl Run {
                 .join("tandem-report/report.html")
                 .exists()
         );
+        said
+    }
+
+    /// Returns the process of the page.
+    fn page(&self) -> Pid {
+        let tasks = fs::read_dir(format!("/proc/{}/task", self.process.id())).unwrap();
+        let children = tasks.map(|task| fs::read_to_string(task.unwrap().path().join("children")));
+        let children: Vec<_> = children.map(Result::unwrap_or_default).collect();
+        let is_page = |pid: &&str| {
+            let line = fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+            line.contains("tandem-web")
+        };
+        let mut pids = children.iter().flat_map(|it| it.split_whitespace());
+        let pid = pids.find(is_page).unwrap();
+        Pid::from_raw(pid.parse().unwrap()).unwrap()
     }
 }
 
@@ -180,6 +201,69 @@ fn a_click_in_chromium_kills_the_master_and_the_page_shows_the_takeover() {
     run.interrupt();
 }
 
+/// Slow readers, floods of connections, guesses of the token and huge requests cost other readers
+/// nothing, and the run neither: it drives on, also when its page is killed.
+#[test]
+fn an_attacker_disturbs_no_run() {
+    if !has(&["python3"], "TANDEM_REQUIRE_ORACLES") {
+        return;
+    }
+    let run = Run::start();
+    run.client("attack.py", &[]);
+    kill_process(run.page(), Signal::KILL).unwrap();
+    let pid = run.process.id().to_string();
+    let listed = || {
+        let mut ps = Command::new(run.folder.path().join("tandem"));
+        let output = ps.args(["ps", "--json"]).output().unwrap();
+        String::from_utf8(output.stdout).unwrap()
+    };
+    while TcpStream::connect((Ipv4Addr::LOCALHOST, run.port())).is_ok() {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert!(listed().contains("vehicle"), "{pid}: {}", listed());
+    let said = run.interrupt();
+    assert!(
+        said.contains("the live page ended with signal: 9"),
+        "{said}"
+    );
+}
+
+/// The page shows a run in emulated machines too. Its hands say that they cannot reach it.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_run_in_emulated_machines_is_shown() {
+    let folder = programs();
+    let lab = Path::new(WEB).with_file_name("tandem-lab");
+    fs::copy(&lab, folder.path().join("tandem-lab")).unwrap();
+    let images = Path::new(WEB).parent().unwrap().with_file_name("firmware");
+    let images = images.join("riscv32imac-unknown-none-elf/release");
+    let images = std::env::var_os("TANDEM_IMAGES").map_or(images, PathBuf::from);
+    let image = images.join("controller");
+    let words = format!("--board qemu --duration 5 --firmware {}", image.display());
+    let run = Run::of(&words, folder);
+    let host = format!("127.0.0.1:{}", run.port());
+    let ask = |request: String| {
+        let mut server = TcpStream::connect((Ipv4Addr::LOCALHOST, run.port())).unwrap();
+        server.write_all(request.as_bytes()).unwrap();
+        let mut answer = String::new();
+        server.read_to_string(&mut answer).unwrap();
+        answer
+    };
+    let common = format!("Host: {host}\r\nConnection: close\r\n");
+    while !ask(format!("GET /state HTTP/1.1\r\n{common}\r\n")).contains("\"obeyed\":\"") {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let (_, token) = run.url.split_once('#').unwrap();
+    let body = r#"{"hand": "kill-supply", "system": "master"}"#;
+    let answer = ask(format!(
+        "POST /hands HTTP/1.1\r\n{common}Authorization: Bearer {token}\r\n\
+         Content-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
+        body.len()
+    ));
+    assert!(answer.contains(" 409 "), "{answer}");
+    assert!(answer.contains("no processes on this machine"), "{answer}");
+}
+
 /// Bad input is refused with exit status 2, and no server is left.
 #[test]
 fn a_run_that_is_missing_and_a_port_that_is_in_use() {
@@ -195,7 +279,14 @@ fn a_run_that_is_missing_and_a_port_that_is_in_use() {
     assert!(said.contains("no run is active"), "{said}");
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let port = taken.local_addr().unwrap().port().to_string();
-    let said = output(&["--wait", "--port", &port]);
+    let programs = programs();
+    let mut run = Command::new(programs.path().join("tandem"));
+    run.args(["run", "--web", &port])
+        .current_dir(programs.path());
+    let output_of_run = until_ended(run);
+    let said = String::from_utf8(output_of_run.stderr).unwrap();
+    assert_eq!(output_of_run.status.code(), Some(2), "{said}");
     assert!(said.contains(&format!("--port {port}")), "{said}");
+    assert!(!programs.path().join("tandem-report").exists());
     assert!(output(&["--port", "70000"]).contains("--port"));
 }

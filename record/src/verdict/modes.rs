@@ -91,24 +91,62 @@ fn failure_ns(log: &RunLog) -> Option<u64> {
 /// was at the end of the run, or if no system ever drove.
 #[must_use]
 pub fn redundancy_lost_s(log: &RunLog) -> Option<f64> {
-    log.accepted().next()?;
-    let stood_by_s = SystemId::ALL.map(|system| {
-        let spans = timeline(log, system).into_iter();
-        let stood_by = spans.filter(|span| span.state == RoleState::Standby);
-        let last_s = stood_by.map(|span| span.to_s).fold(0.0, f64::max);
-        last_s.min(unable_since_s(log, system).unwrap_or(f64::INFINITY))
-    });
-    let last_s = stood_by_s.into_iter().fold(0.0, f64::max);
-    (log.driven_s() - last_s > SIGN_S).then_some(last_s)
+    let (from_s, to_s) = *alone(log).last()?;
+    (to_s >= log.driven_s()).then_some(from_s)
 }
 
-/// Returns the scenario time from which this system reported to the end that it could not drive, s.
-fn unable_since_s(log: &RunLog, system: SystemId) -> Option<f64> {
-    let of_system = log.status.iter().rev().filter(|it| it.system == system);
+/// Returns the spans of scenario time in which no system was a standby that could drive, s: from,
+/// to. Shorter ones than the status frames show are left out. Empty if no system ever drove.
+#[must_use]
+pub fn alone(log: &RunLog) -> Vec<(f64, f64)> {
+    if log.accepted().next().is_none() {
+        return Vec::new();
+    }
+    let stood_by = SystemId::ALL.into_iter().flat_map(|it| stood_by(log, it));
+    let mut stood_by: Vec<(f64, f64)> = stood_by.collect();
+    stood_by.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let end_s = log.driven_s();
+    let (mut alone, mut last_s) = (Vec::new(), 0.0_f64);
+    for (from_s, to_s) in stood_by.into_iter().chain([(end_s, end_s)]) {
+        if from_s - last_s > SIGN_S {
+            alone.push((last_s, from_s));
+        }
+        last_s = last_s.max(to_s);
+    }
+    alone
+}
+
+/// Returns the spans of scenario time in which this system was a standby that could drive, s.
+fn stood_by(log: &RunLog, system: SystemId) -> Vec<(f64, f64)> {
+    let unable = unable(log, system);
+    let spans = timeline(log, system).into_iter();
+    let spans = spans.filter(|span| span.state == RoleState::Standby);
+    let able = spans.flat_map(|span| {
+        let mut from_s = span.from_s;
+        let mut able = Vec::new();
+        for (begin_s, end_s) in unable.iter().filter(|it| it.1 > span.from_s) {
+            able.push((from_s, begin_s.min(span.to_s)));
+            from_s = from_s.max(*end_s);
+        }
+        able.push((from_s, span.to_s));
+        able
+    });
+    able.filter(|(from_s, to_s)| from_s < to_s).collect()
+}
+
+/// Returns the spans of scenario time in which this system reported that it could not drive, s. The
+/// last one has no end if the system did so to the end.
+fn unable(log: &RunLog, system: SystemId) -> Vec<(f64, f64)> {
     let is_unable =
-        |it: &&StatusFrame| matches!(it.ability, AbilityCode::StopOnly | AbilityCode::None);
-    let first = of_system.take_while(is_unable).last()?;
-    Some(log.seconds(first.at_ns))
+        |it: &StatusFrame| matches!(it.ability, AbilityCode::StopOnly | AbilityCode::None);
+    let mut of_system = log.status.iter().filter(|it| it.system == system);
+    let mut spans = Vec::new();
+    while let Some(first) = of_system.find(|it| is_unable(it)) {
+        let able = of_system.find(|it| !is_unable(it));
+        let until_s = able.map_or(f64::INFINITY, |it| log.seconds(it.at_ns));
+        spans.push((log.seconds(first.at_ns), until_s));
+    }
+    spans
 }
 
 /// Returns the longest time in which the mode of the accepted frames did not fit the redundancy, s.
@@ -250,8 +288,31 @@ mod tests {
                 .take(2)
                 .for_each(|it| it.ability = AbilityCode::All);
             assert_eq!(redundancy_lost_s(&blind), None);
+            assert_eq!(alone(&blind).len(), usize::from(lost_s.is_some()));
         }
         assert_eq!(redundancy_lost_s(&RunLog::default()), None);
+    }
+
+    /// B is without power from 3 s on, and stands by again from 7 s on.
+    #[test]
+    fn redundancy_that_returns_was_lost_for_a_span() {
+        let mut returns = log(ModeCode::L3, 10_000);
+        let is_off = |at_ns: u64| (3_000 * MS..7_000 * MS).contains(&at_ns);
+        { &mut returns.status }.retain(|it| it.system == A || !is_off(it.at_ns));
+        returns.power.push(PowerChange {
+            at_ns: 3_000 * MS,
+            system: B,
+            on: false,
+        });
+        let spans = alone(&returns);
+        let [(from_s, to_s)] = spans[..] else {
+            panic!("{spans:?}")
+        };
+        assert!(
+            (from_s - 3.0).abs() < 0.01 && (to_s - 7.0).abs() < 0.01,
+            "{spans:?}"
+        );
+        assert_eq!(redundancy_lost_s(&returns), None);
     }
 
     #[test]
