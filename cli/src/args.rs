@@ -30,9 +30,7 @@ The three jobs:
              the other system continues to drive; the report shows how
   reuse      the crates shm, redundancy, cores and bus are no_std; see README.md
 
-Exit status: 0 success; 1 the run failed (collision, no controller, two masters, ...);
-2 the command line or an input was wrong and nothing was started;
-3 nothing was heard (topics, time); 130 ended by Ctrl-C.";
+With --json a command prints one JSON document, and nothing else on stdout; docs/json.md.";
 
 const RUN_EXAMPLES: &str = "\
 Examples:
@@ -59,10 +57,7 @@ Examples:
   tandem topics soc --park 12        command the parking, as the ADAS computer does
 
 The controller publishes while `tandem run --soc` drives. docs/topics.md shows how to subscribe with
-Cyclone DDS. A writer of the controller serves two readers: beside the SoC, one `tandem topics`.
-
-Exit status: 0 success; 1 it failed; 2 the command line or a profile is wrong; 3 nothing was heard;
-130 ended by Ctrl-C.";
+Cyclone DDS. A writer of the controller serves two readers: beside the SoC, one `tandem topics`.";
 
 /// A fail-operational controller: two systems of three cores each, and the vehicle that they drive
 #[derive(Debug, Parser)]
@@ -105,7 +100,7 @@ pub enum Command {
     /// Show, initialise or clear the data flashes that `tandem run --dflash` keeps
     Dflash(DflashArgs),
     /// List the built-in scenarios
-    Scenarios,
+    Scenarios(ScenariosArgs),
     /// Convert the CAN log of a run to a format of Vector's tools: ASC or BLF
     CanLog(PassedArguments),
     /// Drive a folder of scenarios in virtual time and judge each drive
@@ -150,13 +145,45 @@ pub struct BootDemoArgs {
     /// [default: the output folder of `cargo xtask firmware build`]
     #[arg(long, value_name = "FOLDER")]
     pub images: Option<PathBuf>,
+
+    /// Print JSON: the records, the time of the download, and the frame of each core
+    #[arg(long)]
+    pub json: bool,
 }
 
-/// How other programs reach the bus of a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum CanKind {
-    /// UDP multicast on this machine
+/// Arguments of `tandem scenarios`.
+#[derive(Debug, Args)]
+pub struct ScenariosArgs {
+    /// Print a JSON array of objects with name and description
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Where other programs reach the bus of a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum CanBus {
+    /// UDP multicast on this machine.
     Udp,
+    /// This SocketCAN interface.
+    Interface(String),
+}
+
+impl FromStr for CanBus {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        /// Bytes of the longest name in Linux.
+        const LONGEST: usize = 15;
+        let is_part = |byte: u8| byte.is_ascii_graphic() && byte != b'/' && byte != b':';
+        let is_name = (1..=LONGEST).contains(&text.len()) && text.bytes().all(is_part);
+        match text {
+            "udp" => Ok(Self::Udp),
+            name if is_name && !name.starts_with(['.', '-']) => {
+                Ok(Self::Interface(name.to_owned()))
+            }
+            _ => Err("write udp, or the name of an interface such as vcan0"),
+        }
+    }
 }
 
 /// Arguments of `tandem run`.
@@ -186,10 +213,11 @@ pub struct RunArgs {
     #[arg(long, value_name = "RELEASE")]
     pub update: Option<u32>,
 
-    /// Open the bus to other programs: `udp` is the bus of python-can's udp_multicast. They hear
-    /// each frame, and what they send is on the bus; needs a route for multicast (docs/boot.md)
-    #[arg(long, value_enum, value_name = "BUS")]
-    pub can: Option<CanKind>,
+    /// Open the bus to other programs: on a SocketCAN interface such as vcan0, or as `udp`, the bus
+    /// of python-can's udp_multicast, which needs a route for multicast (docs/boot.md). They hear
+    /// each frame, and what they send is on the bus
+    #[arg(long, value_name = "INTERFACE|udp")]
+    pub can: Option<CanBus>,
 
     /// Multicast group of that bus
     #[arg(long, value_name = "ADDRESS", default_value_t = GROUP, requires = "can")]
@@ -475,6 +503,10 @@ pub struct DflashArgs {
     /// The folder of the data flashes, as for `tandem run --dflash`
     #[arg(long, value_name = "DIR", default_value = ".", global = true)]
     pub folder: PathBuf,
+
+    /// Print JSON: an object for each system
+    #[arg(long, global = true)]
+    pub json: bool,
 }
 
 /// The subcommands of `tandem dflash`.
@@ -747,6 +779,26 @@ mod tests {
         assert_eq!(parse_cpus("2, 0-1"), Ok(CpuList(vec![2, 0, 1])));
         for text in ["", "x", "1-0", "0,0", "0-99999", "-1", "0,"] {
             assert!(parse_cpus(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn buses_are_interfaces_or_udp() {
+        let interface = |name: &str| Ok(CanBus::Interface(name.to_owned()));
+        assert_eq!("udp".parse(), Ok(CanBus::Udp));
+        assert_eq!("vcan0".parse(), interface("vcan0"));
+        assert_eq!("a-name.of-15-by".parse(), interface("a-name.of-15-by"));
+        for text in [
+            "",
+            ".",
+            "..",
+            "../lo",
+            "-v",
+            "a b",
+            "a-name.of-16-byt",
+            "lo\n",
+        ] {
+            assert!(text.parse::<CanBus>().is_err(), "{text}");
         }
     }
 

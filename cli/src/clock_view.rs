@@ -37,6 +37,7 @@ const SILENT: Duration = Duration::from_secs(1);
 pub fn run(args: &TimeArgs) -> Result<(), Failure> {
     let places = OutputFile::check_all([("--json", args.json.as_deref())]);
     let [json_to] = places.map_err(Failure::usage)?;
+    let is_quiet = json_to.as_ref().is_some_and(OutputFile::is_stdout);
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&stop)).context("Ctrl-C")?;
@@ -57,7 +58,9 @@ pub fn run(args: &TimeArgs) -> Result<(), Failure> {
                 newest = Some(time);
             }
         });
-        if let Some(time) = newest {
+        if let Some(time) = newest
+            && !is_quiet
+        {
             screen.show(&time)?;
         }
         if heard.elapsed() > SILENT && process_list::run_named(Some(&run)).is_err() {

@@ -7,7 +7,7 @@ pub mod beside;
 pub mod board_kind;
 pub mod boot;
 pub mod boot_demo;
-pub mod can_udp;
+pub mod can_bridge;
 pub mod clock_view;
 pub mod collected;
 mod companion;
@@ -25,6 +25,7 @@ pub mod grandmaster;
 pub mod injection;
 pub mod live;
 pub mod metrics;
+pub mod open_bus;
 pub mod output;
 pub mod percentiles;
 pub mod ps;
@@ -51,6 +52,7 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use run_config::RunConfig;
+use serde::Serialize;
 use tandem_board_host::{InvalidArgs, ProcessArgs, supply};
 
 use failure::Failure;
@@ -102,6 +104,14 @@ fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
             .context("vehicle")
         }
     }
+}
+
+/// Writes a value to stdout as a JSON document. A closed pipe is not an error.
+///
+/// # Errors
+/// If the value has no form in JSON, or stdout cannot be written.
+pub fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
+    print(&(serde_json::to_string_pretty(value)? + "\n"))
 }
 
 /// Writes to stdout. A closed pipe is not an error.

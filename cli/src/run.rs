@@ -22,16 +22,17 @@ use tandem_vehicle::Scenario;
 use crate::args::{CpuList, RunArgs, SocArgs, Timing};
 use crate::board_kind::BoardKind;
 use crate::boot::{self, ProgramFlashes};
-use crate::can_udp::CanUdp;
+use crate::can_bridge::CanBridge;
 use crate::collected::{Collected, read};
 use crate::failure::Failure;
 use crate::files::RunFiles;
 use crate::grandmaster::{GrandmasterEnd, GrandmasterProcess};
 use crate::live::Progress;
 use crate::metrics::{Metrics, Surroundings};
+use crate::open_bus::OpenBus;
 use crate::output::{self, ReportFolder};
 use crate::publish::Publishing;
-use crate::run_config::{LimitProfile, RunConfig, UpdateFiles, can_group};
+use crate::run_config::{LimitProfile, RunConfig, UpdateFiles, multicast};
 use crate::soc::{SocEnd, SocProcess};
 use crate::stall_watch::{self, Seen, StallWatch};
 use crate::update::objections;
@@ -50,6 +51,7 @@ const TIMERS_LATE: Duration = Duration::from_ms(2);
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
     // Both need the `/dev/shm` that they share with observers, so they start before the launcher.
+    let bridge = CanBridge::start(args)?;
     let web = args.web.map(WebPage::start).transpose()?;
     let publishing = Publishing::prepare(args)?;
     let mut launcher = Launcher::prepare()?;
@@ -58,7 +60,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         .then(|| stall_watch::longest(&checked.places, profile == LimitProfile::Rt, MEASURED_FOR));
     let config = RunConfig {
         stall_us: longest.map(|it| u32::try_from(it.as_us()).unwrap_or(u32::MAX)),
-        ..RunConfig::of(args, profile)
+        ..config_of(args, profile, bridge.as_ref())
     };
     if !args.quiet {
         eprintln!("{granted}\n{}", limits(&config.budget(), longest));
@@ -73,7 +75,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     };
     let driven = drive(args, &checked, &config, &files, &mut launcher, publishing);
     let machine = watch.end();
-    drop(web);
+    drop((web, bridge));
     let Driven {
         ended,
         soc,
@@ -100,6 +102,13 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         ended.interrupted,
         updates,
     )
+}
+
+/// Returns the configuration of a run, with the bridge to a CAN interface if it has one.
+fn config_of(args: &RunArgs, profile: LimitProfile, bridge: Option<&CanBridge>) -> RunConfig {
+    let config = RunConfig::of(args, profile);
+    let can = bridge.map(CanBridge::place).or(config.can.clone());
+    RunConfig { can, ..config }
 }
 
 /// The result of [`recorded`].
@@ -178,7 +187,8 @@ pub fn run_elsewhere(
     drive: impl FnOnce(&RunConfig, &RunFiles) -> Result<DrivenElsewhere, Failure>,
 ) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
-    let config = RunConfig::of(args, LimitProfile::Rt);
+    let bridge = CanBridge::start(args)?;
+    let config = config_of(args, LimitProfile::Rt, bridge.as_ref());
     let folder = tempfile::tempdir().context("a folder for the run's logs")?;
     let files = RunFiles::within(folder.path());
     let mut publishing = Publishing::prepare(args)?;
@@ -322,7 +332,7 @@ fn conclude(
         return Err(Failure::Interrupted);
     }
     let metrics = collected.and_then(|c| c.write(&checked.out, around))?;
-    print_summary(args, &checked.out, &metrics)?;
+    print_summary(args, &checked.out, &metrics, &updates)?;
     if interrupted {
         return Err(Failure::DrivenUntil(metrics.duration_s));
     }
@@ -355,7 +365,8 @@ impl Checked {
     fn new(args: &RunArgs) -> anyhow::Result<Self> {
         check_board(args)?;
         check_scenario(&args.scenario)?;
-        can_group(args).map(CanUdp::join).transpose()?;
+        let can = multicast(args);
+        can.as_ref().map(OpenBus::join).transpose()?;
         let domain = args.network().map(topics::claim).transpose()?;
         let out = ReportFolder::check(&args.out)?;
         outside_shared_memory("--out", out.path())?;
@@ -677,16 +688,20 @@ fn leftovers(found: &Leftovers) -> Vec<String> {
 }
 
 /// Prints the summary of the run on the terminal.
-fn print_summary(args: &RunArgs, out: &ReportFolder, metrics: &Metrics) -> anyhow::Result<()> {
+fn print_summary(
+    args: &RunArgs,
+    out: &ReportFolder,
+    metrics: &Metrics,
+    besides: &[String],
+) -> anyhow::Result<()> {
     let report = out.path().join(output::REPORT);
     if args.json {
-        let json = serde_json::to_string_pretty(metrics).context("metrics.json")?;
-        return crate::print(&format!("{json}\n"));
+        return crate::print_json(metrics);
     }
     if args.quiet {
         return Ok(());
     }
-    crate::print(&summary::table(metrics, &report))
+    crate::print(&summary::table(metrics, besides, &report))
 }
 
 #[cfg(test)]

@@ -13,11 +13,11 @@ use tandem_board_host::Alarm;
 use tandem_record::verdict::Limits;
 use tandem_redundancy::Budget;
 
-use crate::args::CanKind;
+use crate::args::CanBus;
 use crate::args::RunArgs;
 use crate::boot::ProgramFlashes;
-use crate::can_udp::CanGroup;
 use crate::files::RunFiles;
+use crate::open_bus::OpenBusPlace;
 
 /// The profile of the cores' time limits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,7 +70,7 @@ pub struct RunConfig {
     /// The update that each system receives while the other system drives.
     pub update: Option<UpdateFiles>,
     /// Where other programs are on the bus, if they may.
-    pub can: Option<CanGroup>,
+    pub can: Option<OpenBusPlace>,
     /// For `tandem boot-demo`: the file with the records to send, and the file for the result.
     pub demo: Option<[PathBuf; 2]>,
     /// The CPU of each core, in the order A0, A1, … B2; empty if the cores are not processes.
@@ -156,7 +156,7 @@ impl RunConfig {
             parks_from_s: args.parks_from_s(),
             sensor_faults: args.sensor_fault.clone(),
             sensor_timing: args.sensor_time.clone(),
-            can: can_group(args),
+            can: multicast(args),
             ..Self::default()
         }
     }
@@ -218,8 +218,8 @@ impl RunConfig {
 }
 
 /// Returns where other programs hear the bus, if they do.
-pub(crate) fn can_group(args: &RunArgs) -> Option<CanGroup> {
-    args.can.map(|CanKind::Udp| CanGroup {
+pub(crate) fn multicast(args: &RunArgs) -> Option<OpenBusPlace> {
+    (args.can == Some(CanBus::Udp)).then_some(OpenBusPlace::Udp {
         group: args.can_group,
         port: args.can_port,
     })

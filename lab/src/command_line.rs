@@ -5,6 +5,7 @@ use std::fs;
 use clap::{Args as _, Command, CommandFactory as _};
 use tandem::args::RunChoice;
 use tandem::failure::Failure;
+use tandem_page::command_line::with_exit_statuses;
 use tandem_page::output::OutputFolder;
 
 use crate::args::{Cli, CompletionsArgs, ManArgs};
@@ -30,7 +31,7 @@ fn whole() -> Command {
             }
         });
     }
-    whole
+    with_exit_statuses(whole)
 }
 
 /// Prints the script that completes the commands in this shell.
@@ -66,6 +67,22 @@ pub(crate) fn write_pages(args: &ManArgs) -> Result<(), Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tandem_page::command_line::EXIT_STATUS;
+
+    /// Each help text, and with it each page, ends with the exit statuses, once.
+    #[test]
+    fn each_help_has_the_exit_statuses() {
+        fn check(command: &mut Command, path: &str) {
+            let help = command.render_long_help().to_string();
+            assert_eq!(help.matches(EXIT_STATUS).count(), 1, "{path}: {help}");
+            assert!(help.trim_end().ends_with(EXIT_STATUS), "{path}: {help}");
+            for inner in command.get_subcommands_mut() {
+                let path = format!("{path} {}", inner.get_name());
+                check(inner, &path);
+            }
+        }
+        check(&mut whole(), "tandem");
+    }
 
     /// No command is left that only passes its arguments on.
     #[test]
@@ -76,7 +93,7 @@ mod tests {
             let words = command.get_arguments().find(|it| it.get_id() == "words");
             assert!(words.is_none(), "{name} passes its arguments on");
             let count = command.get_arguments().count() + command.get_subcommands().count();
-            let has_none = ["bench", "publish", "scenarios"].contains(&name);
+            let has_none = ["bench", "publish"].contains(&name);
             assert_eq!(count == 0, has_none, "{name}");
         }
     }

@@ -12,6 +12,7 @@ mod file_sender;
 mod flash_file;
 mod info;
 pub mod life;
+mod local_bus;
 mod package;
 mod simulated_flash;
 mod transfer;
@@ -22,6 +23,7 @@ pub use delta::delta;
 pub use file_sender::{ANSWER_WITHIN, CONNECT_EVERY, FileSender, ToDo};
 pub use flash_file::{FlashFile, FlashFileFault};
 pub use info::{Inquiry, SystemInfo, ask};
+pub use local_bus::{LocalBus, LocalListener};
 pub use package::{
     Content, Image, PackageError, RECORD_DATA, ReleaseInfo, SigningKey, line, records,
 };

@@ -24,6 +24,7 @@ use tandem::foxglove::{Ready, RunToShow};
 use tandem_board_host::clock;
 use tandem_board_host::process_list;
 use tandem_board_host::services::Observer;
+use tandem_page::command_line;
 
 use channels::Channels;
 use sinks::Sinks;
@@ -77,7 +78,8 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    let Command::Foxglove(args) = Cli::parse().command;
+    let Cli { command } = command_line::parse(std::env::args_os());
+    let Command::Foxglove(args) = command;
     match run(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {

@@ -22,6 +22,7 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem::args::RunChoice;
 use tandem::failure::Failure;
 use tandem_board_host::services::Observer;
+use tandem_page::command_line;
 use tandem_watch::Hands;
 
 use history::History;
@@ -41,10 +42,7 @@ need the token, which the printed address contains after the `#`. Other programs
 server: GET /state is the state as JSON, GET /events a stream of it (server-sent events), and
 
   curl -H 'Authorization: Bearer TOKEN' -H 'Content-Type: application/json' \\
-       -d '{\"hand\": \"kill-supply\", \"system\": \"master\"}' http://127.0.0.1:PORT/hands
-
-Exit status: 0 the run has ended; 1 the server failed; 2 no run publishes, or the port is in use;
-130 ended by Ctrl-C.";
+       -d '{\"hand\": \"kill-supply\", \"system\": \"master\"}' http://127.0.0.1:PORT/hands";
 
 /// The part of `tandem` that this program implements.
 #[derive(Debug, Parser)]
@@ -94,7 +92,8 @@ struct Start<'a> {
 }
 
 fn main() -> ExitCode {
-    let Command::Web(args) = Cli::parse().command;
+    let Cli { command } = command_line::parse(std::env::args_os());
+    let Command::Web(args) = command;
     match run(&args) {
         Ok(code) => code,
         Err(failure) => {
