@@ -8,7 +8,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow};
-use rustix::termios::tcgetwinsize;
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board_host::process_list::{self, RunError};
@@ -19,6 +18,7 @@ use tandem_record::description::{is_holdover, no_grandmaster, time_source, time_
 
 use crate::args::TimeArgs;
 use crate::failure::Failure;
+use crate::live::columns;
 use crate::percentiles::DeviationFigures;
 
 /// How often the run is polled.
@@ -131,7 +131,7 @@ impl Screen {
     fn show(&mut self, time: &VehicleClocks) -> anyhow::Result<()> {
         if self.is_terminal {
             // Cut at the terminal's width: a wrapped line could not be updated.
-            let columns = tcgetwinsize(io::stdout()).map_or(80, |size| usize::from(size.ws_col));
+            let columns = columns(io::stdout());
             let mut text = match self.lines {
                 0 => String::new(),
                 lines => format!("\x1b[{lines}A\x1b[J"),

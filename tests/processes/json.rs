@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tandem_page::command_line::EXIT_STATUS;
@@ -64,7 +65,7 @@ fn documents_of_a_manifest_fit_their_schemas() {
     let fixture = Fixture::new();
     let manifest = concat!(
         "version = 1\ninitial = \"drive\"\n[[process]]\nname = \"it\"\nprogram = \"/bin/sleep\"\n",
-        "arguments = [\"100\"]\n[[target]]\nname = \"drive\"\nprocesses = [\"it\"]\n",
+        "arguments = [\"100\"]\nready = \"running\"\n[[target]]\nname = \"drive\"\nprocesses = [\"it\"]\n",
     );
     fs::write(fixture.folder().join("m.toml"), manifest).unwrap();
     // An Ed25519 key in DER (RFC 8410).
@@ -77,13 +78,15 @@ fn documents_of_a_manifest_fit_their_schemas() {
     fits("exec-check", &printed(&fixture, &check));
     let mut command = fixture.command(&["exec", "run", "m.toml", "--json"]);
     let launcher = command.stdout(Stdio::piped()).spawn().unwrap();
+    let begin = Instant::now();
     let ps = loop {
+        assert!(begin.elapsed() < Duration::from_secs(60), "never reached");
         let output = fixture.output(&["exec", "ps", "m.toml", "--json"]);
         let state: Option<Value> = serde_json::from_slice(&output.stdout).ok();
         if state.is_some_and(|it| it["reached"] == true) {
             break output.stdout;
         }
-        std::thread::sleep(std::time::Duration::from_millis(50));
+        std::thread::sleep(Duration::from_millis(50));
     };
     fits("exec-ps", &ps);
     crate::fixture::send(launcher.id() as i32, rustix::process::Signal::INT);
