@@ -1,6 +1,7 @@
 //! The arguments of the `tandem` command.
 
 mod exec;
+mod shown;
 mod timing;
 
 use std::net::Ipv4Addr;
@@ -18,6 +19,7 @@ use tandem_vehicle::sensors::{NoSensorFault, NoSensorTiming};
 use tandem_vehicle::{SensorFault, SensorTiming};
 
 pub use exec::{ExecArgs, ExecCommand, ExecRunArgs, ExecTargetArgs, ManifestArgs};
+pub use shown::{FoxgloveArgs, WebArgs};
 pub use timing::{GrandmasterArgs, GrandmasterScale, TimeArgs, TimeBoard};
 
 const EXAMPLES: &str = "\

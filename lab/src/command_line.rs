@@ -3,15 +3,15 @@
 use std::fs;
 
 use clap::{Args as _, Command, CommandFactory as _};
-use tandem::args::RunChoice;
+use tandem::args::{FoxgloveArgs, RunChoice, WebArgs};
 use tandem::failure::Failure;
 use tandem_page::command_line::with_exit_statuses;
 use tandem_page::output::OutputFolder;
 
 use crate::args::{Cli, CompletionsArgs, ManArgs};
 
-/// Returns the command line of `tandem`, with the arguments of the commands that `tandem-lab` and
-/// `tandem-top` implement. Those of `tandem bench` are left out: they are in the package of the
+/// Returns the command line of `tandem`, with the arguments of the commands that other programs
+/// implement. Those of `tandem bench` are left out: they are in the package of the
 /// benchmarks, which builds all their peers.
 fn whole() -> Command {
     let lab = Cli::command();
@@ -26,6 +26,8 @@ fn whole() -> Command {
             let about = command.get_about().cloned().unwrap_or_default();
             match &*name {
                 "bench" => Command::new("bench").about(about),
+                "foxglove" => FoxgloveArgs::augment_args(Command::new("foxglove")).about(about),
+                "web" => WebArgs::augment_args(Command::new("web")).about(about),
                 "top" => RunChoice::augment_args(Command::new("top")).about(about),
                 _ => own.cloned().unwrap_or(command),
             }
@@ -76,7 +78,9 @@ mod tests {
             let help = command.render_long_help().to_string();
             assert_eq!(help.matches(EXIT_STATUS).count(), 1, "{path}: {help}");
             assert!(help.trim_end().ends_with(EXIT_STATUS), "{path}: {help}");
-            for inner in command.get_subcommands_mut() {
+            // clap adds the command `help` itself.
+            let inner = command.get_subcommands_mut();
+            for inner in inner.filter(|it| it.get_name() != "help") {
                 let path = format!("{path} {}", inner.get_name());
                 check(inner, &path);
             }

@@ -9,7 +9,6 @@ mod scene;
 mod sinks;
 
 use std::io::{BufRead as _, Read as _, Write as _, stdin, stdout};
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,7 +17,7 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::{Context as _, anyhow};
 use clap::{Parser, Subcommand};
 use signal_hook::consts::{SIGINT, SIGTERM};
-use tandem::args::RunChoice;
+use tandem::args::FoxgloveArgs;
 use tandem::failure::Failure;
 use tandem::foxglove::{Ready, RunToShow};
 use tandem_board_host::clock;
@@ -45,36 +44,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Show a run in Foxglove: as an MCAP file, or live
-    #[command(after_help = EXAMPLES)]
-    Foxglove(Arguments),
-}
-
-const EXAMPLES: &str = "\
-Examples:
-  tandem run --mcap run.mcap         records a run from its start
-  tandem run --foxglove              shows it live: open ws://localhost:8765 in Foxglove
-  tandem foxglove                    shows a run that drives already, until it ends, or Ctrl-C
-  tandem foxglove --mcap rest.mcap   records the rest of it
-
-In Foxglove, import the layout cli/foxglove/layout.json. docs/foxglove.md describes the channels.";
-
-#[derive(Debug, clap::Args)]
-struct Arguments {
-    /// The run
-    #[command(flatten)]
-    run: RunChoice,
-
-    /// Record to this file; an existing one must be an MCAP file
-    #[arg(long, value_name = "FILE")]
-    mcap: Option<PathBuf>,
-
-    /// Show live at this port of this machine; 0 chooses one [default: 8765 without --mcap]
-    #[arg(long, value_name = "PORT")]
-    port: Option<u16>,
-
-    /// `tandem run` names the run on stdin, and ends this program by closing it
-    #[arg(long, hide = true)]
-    beside: bool,
+    Foxglove(FoxgloveArgs),
 }
 
 fn main() -> ExitCode {
@@ -89,7 +59,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(args: &Arguments) -> Result<(), Failure> {
+fn run(args: &FoxgloveArgs) -> Result<(), Failure> {
     if args.beside {
         return beside(args).map_err(Failure::Run);
     }
@@ -129,7 +99,7 @@ fn run(args: &Arguments) -> Result<(), Failure> {
 }
 
 /// Shows the run that `tandem run` names, until it closes stdin.
-fn beside(args: &Arguments) -> anyhow::Result<()> {
+fn beside(args: &FoxgloveArgs) -> anyhow::Result<()> {
     // Ctrl-C ends the run, and the run ends this program.
     let context = foxglove::Context::new();
     let mut channels = Channels::new(&context);

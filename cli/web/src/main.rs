@@ -19,7 +19,7 @@ use anyhow::Context as _;
 use clap::{Parser, Subcommand};
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
-use tandem::args::RunChoice;
+use tandem::args::WebArgs;
 use tandem::failure::Failure;
 use tandem_board_host::services::Observer;
 use tandem_page::command_line;
@@ -36,14 +36,6 @@ const FAREWELL: Duration = Duration::from_millis(500);
 /// Exit status after Ctrl-C.
 const INTERRUPTED: u8 = 130;
 
-const EXAMPLES: &str = "\
-The page shows roles, lane, gaps and events. Its buttons do what the keys of `tandem top` do; they
-need the token, which the printed address contains after the `#`. Other programs may use the same
-server: GET /state is the state as JSON, GET /events a stream of it (server-sent events), and
-
-  curl -H 'Authorization: Bearer TOKEN' -H 'Content-Type: application/json' \\
-       -d '{\"hand\": \"kill-supply\", \"system\": \"master\"}' http://127.0.0.1:PORT/hands";
-
 /// The part of `tandem` that this program implements.
 #[derive(Debug, Parser)]
 #[command(name = "tandem", bin_name = "tandem", version, max_term_width = 100)]
@@ -56,31 +48,6 @@ struct Cli {
 enum Command {
     /// Show a run live as a web page on this machine, with buttons that inject faults
     Web(WebArgs),
-}
-
-/// Arguments of `tandem web`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
-struct WebArgs {
-    /// Port on 127.0.0.1 [default: a free one]
-    #[arg(
-        long,
-        value_name = "PORT",
-        default_value_t = 0,
-        hide_default_value = true
-    )]
-    port: u16,
-
-    /// Wait until the run publishes; `tandem run --web` does
-    #[arg(long)]
-    wait: bool,
-
-    /// Print the address and the token as JSON, in one line
-    #[arg(long)]
-    json: bool,
-
-    #[command(flatten)]
-    run: RunChoice,
 }
 
 /// What `--json` prints.
