@@ -234,6 +234,7 @@ mod tests {
             let args = DflashArgs {
                 command,
                 folder: folder.clone(),
+                json: false,
             };
             let error = run(&args).unwrap_err().to_string();
             assert!(error.contains("no such folder"), "{error}");
@@ -248,6 +249,7 @@ mod tests {
         let args = DflashArgs {
             command: DflashCommand::Clear { system: None },
             folder: folder.path().to_owned(),
+            json: false,
         };
         let error = run(&args).unwrap_err().to_string();
         assert!(error.contains("in use"), "{error}");

@@ -250,7 +250,7 @@ mod tests {
                 release: 2,
                 tester: "/tmp/tester.der".into(),
             }),
-            can: Some(CanGroup {
+            can: Some(OpenBusPlace::Udp {
                 group: std::net::Ipv4Addr::LOCALHOST,
                 port: 7,
             }),
