@@ -123,7 +123,7 @@ fn a_program_compared_with_itself_has_not_changed() {
 #[test]
 fn the_figures_go_to_stdout_and_fit_their_schema() {
     let fixture = Fixture::new();
-    let output = fixture.output(&["--seconds", "1", "lock", "noise", "size", "--json"]);
+    let output = fixture.output(&["--seconds", "1", "lock", "one-cpu", "--json"]);
     let said = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{said}");
     schema::fits("bench", &output.stdout);
