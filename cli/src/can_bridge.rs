@@ -21,7 +21,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
 /// What the program says when it has opened the interface.
 #[derive(Debug, Serialize, Deserialize)]
-pub enum Answer {
+pub enum BridgeAnswer {
     /// It waits for the vehicle.
     Ready,
     /// The interface cannot be used; why.
@@ -56,12 +56,12 @@ impl CanBridge {
         let process = child.map_err(missing)?;
         let mut bridge = Self { process, name };
         match bridge.answer().map_err(Failure::Usage)? {
-            Answer::Ready => Ok(Some(bridge)),
-            Answer::Refused(why) => Err(Failure::Usage(anyhow!("--can {interface}: {why}"))),
+            BridgeAnswer::Ready => Ok(Some(bridge)),
+            BridgeAnswer::Refused(why) => Err(Failure::Usage(anyhow!("--can {interface}: {why}"))),
         }
     }
 
-    fn answer(&mut self) -> anyhow::Result<Answer> {
+    fn answer(&mut self) -> anyhow::Result<BridgeAnswer> {
         let out = self.process.stdout.take().context("a pipe")?;
         let mut line = String::new();
         BufReader::new(out).read_line(&mut line)?;

@@ -7,7 +7,7 @@ use std::net::Ipv4Addr;
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use tandem_board::CanFrame;
-use tandem_boot_host::{LocalBus, UdpBus};
+use tandem_boot_host::{BusPipe, UdpBus};
 
 /// Frames from outside in a millisecond: a bus of 500 kbit/s has room for no more. The others wait.
 pub(crate) const FRAMES_PER_MS: usize = 3;
@@ -29,7 +29,7 @@ pub enum OpenBusPlace {
 /// The vehicle's end.
 pub(crate) enum OpenBus {
     Udp(UdpBus),
-    Bridge(LocalBus),
+    Bridge(BusPipe),
 }
 
 impl OpenBus {
@@ -45,7 +45,7 @@ impl OpenBus {
                 Ok(Self::Udp(bus))
             }
             OpenBusPlace::Bridge(name) => {
-                let bus = LocalBus::connect(name).context("the bridge to the CAN interface")?;
+                let bus = BusPipe::connect(name).context("the bridge to the CAN interface")?;
                 Ok(Self::Bridge(bus))
             }
         }

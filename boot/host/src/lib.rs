@@ -5,6 +5,7 @@
 //! ([`life`](mod@life)), and the sweep of all points at which power can be lost ([`cuts`]).
 #![forbid(unsafe_code)]
 
+mod bus_pipe;
 mod bus_time;
 pub mod cuts;
 mod delta;
@@ -12,18 +13,17 @@ mod file_sender;
 mod flash_file;
 mod info;
 pub mod life;
-mod local_bus;
 mod package;
 mod simulated_flash;
 mod transfer;
 pub mod udp_bus;
 
+pub use bus_pipe::{BusPipe, BusPipeListener};
 pub use bus_time::bits;
 pub use delta::delta;
 pub use file_sender::{ANSWER_WITHIN, CONNECT_EVERY, FileSender, ToDo};
 pub use flash_file::{FlashFile, FlashFileFault};
 pub use info::{Inquiry, SystemInfo, ask};
-pub use local_bus::{LocalBus, LocalListener};
 pub use package::{
     Content, Image, PackageError, RECORD_DATA, ReleaseInfo, SigningKey, line, records,
 };

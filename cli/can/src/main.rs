@@ -10,8 +10,8 @@ use std::process::{ExitCode, exit};
 use anyhow::Context as _;
 use clap::Parser;
 use socketcan::{CanFdSocket, Socket as _};
-use tandem::can_bridge::Answer;
-use tandem_boot_host::{LocalBus, LocalListener};
+use tandem::can_bridge::BridgeAnswer;
+use tandem_boot_host::{BusPipe, BusPipeListener};
 
 /// Connects the bus of a run with a SocketCAN interface
 #[derive(Debug, Parser)]
@@ -39,8 +39,8 @@ fn main() -> ExitCode {
 fn connect(args: &Cli) -> anyhow::Result<()> {
     let opened = open(args);
     let answer = match &opened {
-        Ok(_) => Answer::Ready,
-        Err(error) => Answer::Refused(format!("{error:#}")),
+        Ok(_) => BridgeAnswer::Ready,
+        Err(error) => BridgeAnswer::Refused(format!("{error:#}")),
     };
     tandem::print(&(serde_json::to_string(&answer)? + "\n"))?;
     let Ok((socket, listener)) = opened else {
@@ -51,10 +51,10 @@ fn connect(args: &Cli) -> anyhow::Result<()> {
     pass(&socket, &vehicle)
 }
 
-fn open(args: &Cli) -> anyhow::Result<(CanFdSocket, LocalListener)> {
+fn open(args: &Cli) -> anyhow::Result<(CanFdSocket, BusPipeListener)> {
     interface::check(&args.interface)?;
     let socket = CanFdSocket::open(&args.interface).context("opening it")?;
-    let listener = LocalListener::bind(&args.name).context("the connection to the vehicle")?;
+    let listener = BusPipeListener::bind(&args.name).context("the connection to the vehicle")?;
     Ok((socket, listener))
 }
 
@@ -66,7 +66,7 @@ fn end_without_run() {
 }
 
 /// Passes frames on in both directions until the vehicle ends.
-fn pass(socket: &CanFdSocket, vehicle: &LocalBus) -> anyhow::Result<()> {
+fn pass(socket: &CanFdSocket, vehicle: &BusPipe) -> anyhow::Result<()> {
     std::thread::scope(|scope| {
         scope.spawn(|| from_interface(socket, vehicle));
         while let Ok(Some(frame)) = vehicle.receive() {
@@ -79,7 +79,7 @@ fn pass(socket: &CanFdSocket, vehicle: &LocalBus) -> anyhow::Result<()> {
 }
 
 /// Passes frames on from the interface. If it is gone, the run continues without it.
-fn from_interface(socket: &CanFdSocket, vehicle: &LocalBus) {
+fn from_interface(socket: &CanFdSocket, vehicle: &BusPipe) {
     loop {
         match socket.read_frame() {
             // The vehicle takes no more frames than its bus carries. The others wait in this

@@ -13,10 +13,10 @@ const MESSAGE_MAX: usize = 2048;
 
 /// The end that waits for the other one.
 #[derive(Debug)]
-pub struct LocalListener(Socket);
+pub struct BusPipeListener(Socket);
 
-impl LocalListener {
-    /// Makes the name known: [`LocalBus::connect`] finds it from now on.
+impl BusPipeListener {
+    /// Makes the name known: [`BusPipe::connect`] finds it from now on.
     ///
     /// # Errors
     /// An error of the operating system, such as a name that is in use.
@@ -31,18 +31,18 @@ impl LocalListener {
     ///
     /// # Errors
     /// An error of the operating system.
-    pub fn accept(self) -> io::Result<LocalBus> {
-        self.0.accept().map(|(socket, _)| LocalBus(socket))
+    pub fn accept(self) -> io::Result<BusPipe> {
+        self.0.accept().map(|(socket, _)| BusPipe(socket))
     }
 }
 
 /// One end of the connection.
 #[derive(Debug)]
-pub struct LocalBus(Socket);
+pub struct BusPipe(Socket);
 
-impl LocalBus {
-    /// Connects to the end that waits under this name. [`LocalBus::poll`] and [`LocalBus::send`]
-    /// then never block; do not call [`LocalBus::receive`].
+impl BusPipe {
+    /// Connects to the end that waits under this name. [`BusPipe::poll`] and [`BusPipe::send`]
+    /// then never block; do not call [`BusPipe::receive`].
     ///
     /// # Errors
     /// An error of the operating system, such as an unknown name.
@@ -117,9 +117,9 @@ mod tests {
             CanFrame::new(CanId::Standard(1), true, &[9; 64]),
         ]
         .map(Result::unwrap);
-        let listener = LocalListener::bind(&name).unwrap();
-        assert!(LocalListener::bind(&name).is_err());
-        let vehicle = LocalBus::connect(&name).unwrap();
+        let listener = BusPipeListener::bind(&name).unwrap();
+        assert!(BusPipeListener::bind(&name).is_err());
+        let vehicle = BusPipe::connect(&name).unwrap();
         assert_eq!(vehicle.poll(), None);
         let bridge = listener.accept().unwrap();
         for frame in &frames {
@@ -132,6 +132,6 @@ mod tests {
         }
         drop(vehicle);
         assert_eq!(bridge.receive().unwrap(), None);
-        assert!(LocalBus::connect(&name).is_err());
+        assert!(BusPipe::connect(&name).is_err());
     }
 }
