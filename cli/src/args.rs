@@ -1,6 +1,6 @@
 //! The arguments of the `tandem` command.
 
-mod can;
+mod can_bus;
 mod exec;
 mod shown;
 mod timing;
@@ -19,7 +19,7 @@ use tandem_boot_host::udp_bus::{GROUP, PORT};
 use tandem_vehicle::sensors::{NoSensorFault, NoSensorTiming};
 use tandem_vehicle::{SensorFault, SensorTiming};
 
-pub use can::CanBus;
+pub use can_bus::CanBus;
 pub use exec::{ExecArgs, ExecCommand, ExecRunArgs, ExecTargetArgs, ManifestArgs};
 pub use shown::{FoxgloveArgs, WebArgs};
 pub use timing::{GrandmasterArgs, GrandmasterScale, TimeArgs, TimeBoard};
