@@ -13,7 +13,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::time::Instant;
 use tandem_board_host::{UnsupervisedSystem, isolation};
-use tandem_page::output::{OutputFile, OutputFolder};
+use tandem_page::output::{OutputFile, OutputFolder, STDOUT};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -25,19 +25,18 @@ CPUs in the same run. Read the ratios to it (x p50 and x p99.9); the times are t
 Ctrl-C ends the measurement: what was measured so far is shown and written.
 After a change of the code, `tandem bench compare --against OLD` says what became slower.
 
-Exit status: 0 all well; 1 nothing could be measured; 2 the command line was wrong or an output
-cannot be written, and nothing was started; 130 ended by Ctrl-C.";
+It fails with 1 if nothing could be measured.";
 
 const COMPARE_EXAMPLES: &str = "\
 Examples:
   cp target/release/tandem-bench old; git switch my-change; cargo build --release
   target/release/tandem bench compare --against ./old spin
                                               exits with 1 if Tandem became slower
-  tandem bench compare --against ./old --json - | jq .slower
+  tandem bench compare --against ./old --json | jq .slower
 Both programs measure in turn, in pairs of short runs. A change counts if it is beyond what pairs
 differ by chance, and larger than 2 %. Floors and peers are shown, and do not count.
 
-Exit status: 0 nothing of Tandem became slower; 1 something did; 2 OLD cannot measure, or no case
+It fails with 1 if something of Tandem became slower, and with 2 if OLD cannot measure, or no case
 was measured in all runs.";
 
 /// Arguments of `tandem bench`.
@@ -68,8 +67,9 @@ pub struct BenchArgs {
     #[arg(long, value_name = "spin|memory:N")]
     pub load: Option<Load>,
 
-    /// Write all figures and a description of the machine to this file
-    #[arg(long, value_name = "FILE")]
+    /// Write all figures and a description of the machine to this file [without FILE: to stdout,
+    /// instead of the table]
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
     pub json: Option<PathBuf>,
 
     /// Write a page with percentile curves and tables to this file
@@ -115,8 +115,8 @@ pub struct CompareArgs {
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=3600))]
     pub seconds: u16,
 
-    /// Write the comparison to this file; `-` is stdout, instead of the table
-    #[arg(long, value_name = "FILE")]
+    /// Write the comparison to this file [without FILE: to stdout, instead of the table]
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
     pub json: Option<PathBuf>,
 
     /// Which groups to compare [default: all]
@@ -195,6 +195,7 @@ fn run(args: &BenchArgs) -> Result<Printed, NoFigures> {
         return Err(nothing(&results));
     }
     const NOT_WRITTEN: &str = "measured, but not written";
+    let is_quiet = json.as_ref().is_some_and(OutputFile::is_stdout);
     if let Some(place) = json {
         let text = serde_json::to_string_pretty(&results)? + "\n";
         place.write(&text).context(NOT_WRITTEN)?;
@@ -210,7 +211,11 @@ fn run(args: &BenchArgs) -> Result<Printed, NoFigures> {
     let width = terminal_size::terminal_size().map(|(width, _)| usize::from(width.0));
     let why = "interrupted: these are the figures so far".to_owned();
     let besides = results.interrupted.then_some((why, 130));
-    Ok((results.table(width.unwrap_or(table::USUAL)), besides))
+    let shown = match is_quiet {
+        true => String::new(),
+        false => results.table(width.unwrap_or(table::USUAL)),
+    };
+    Ok((shown, besides))
 }
 
 /// Name and text of the file for HdrHistogram plotters.
@@ -303,8 +308,6 @@ fn progress_bar() -> ProgressBar {
 /// Measures with the program before the change and with this one in turn, and compares.
 fn compare(args: &CompareArgs) -> Result<Printed, NoFigures> {
     let file = args.json.as_deref();
-    let to_stdout = file.is_some_and(|path| path.as_os_str() == "-");
-    let file = file.filter(|_| !to_stdout);
     let [place] = OutputFile::check_all([("--json", file)]).map_err(usage)?;
     let this = std::env::current_exe().context("cannot run /proc/self/exe");
     let programs = [&args.against, &this.map_err(usage)?];
@@ -325,12 +328,17 @@ fn compare(args: &CompareArgs) -> Result<Printed, NoFigures> {
     }
     bar.finish_and_clear();
     let comparison = compare::compare(&pairs).map_err(usage)?;
-    let json = serde_json::to_string_pretty(&comparison)? + "\n";
+    let is_quiet = place.as_ref().is_some_and(OutputFile::is_stdout);
     if let Some(place) = place {
+        let json = serde_json::to_string_pretty(&comparison)? + "\n";
         place.write(&json).context("compared, but not written")?;
     }
     let slower = comparison.slower.join(", ");
     let why = format!("slower beyond noise: {slower}");
-    let shown = if to_stdout { json } else { comparison.table() };
+    let shown = if is_quiet {
+        String::new()
+    } else {
+        comparison.table()
+    };
     Ok((shown, (!slower.is_empty()).then_some((why, 1))))
 }

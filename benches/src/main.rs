@@ -2,11 +2,11 @@
 //! the peers that it links.
 #![forbid(unsafe_code)]
 
-use clap::Parser as _;
 use std::alloc::System;
 use std::io::{self, Write as _};
 use std::process::ExitCode;
 use tandem_benches::command::{BenchArgs, bench};
+use tandem_page::command_line;
 use tandem_rtos::host::TaskAllocator;
 
 /// As in `tandem`: the tasks of a core share its thread, and therefore its allocator.
@@ -27,7 +27,7 @@ fn main() -> ExitCode {
     if words.get(1).is_some_and(|word| word == "bench") {
         words.remove(1);
     }
-    let (shown, besides) = match bench(&Cli::parse_from(words).args) {
+    let (shown, besides) = match bench(&command_line::parse::<Cli>(words).args) {
         Ok(outcome) => outcome,
         Err(failure) => {
             eprintln!("error: {:#}", failure.why);

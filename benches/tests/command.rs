@@ -1,6 +1,9 @@
 //! `tandem bench` as a person uses it: cut short, compared, and given impossible requests.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
+#[path = "../../tests/json/schema.rs"]
+mod schema;
+
 use std::fs::{self, File};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -9,6 +12,7 @@ use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
+use tandem_page::command_line::EXIT_STATUS;
 use tempfile::TempDir;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_tandem-bench");
@@ -99,12 +103,12 @@ fn a_measurement_that_is_cut_short_gives_what_there_is() {
 #[test]
 fn a_program_compared_with_itself_has_not_changed() {
     let fixture = Fixture::new();
-    let options = ["--pairs", "2", "--seconds", "1", "--json", "c.json", "lock"];
+    let options = ["--pairs", "2", "--seconds", "1", "lock", "--json"];
     let output = fixture.output(&[&["compare", "--against", PROGRAM][..], &options].concat());
     let said = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{said}");
-    let text = fs::read_to_string(fixture.folder().join("c.json")).unwrap();
-    let comparison: Value = serde_json::from_str(&text).unwrap();
+    schema::fits("bench-compare", &output.stdout);
+    let comparison: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(comparison["pairs"], 2);
     let cases = comparison["cases"].as_array().unwrap();
     let free = cases
@@ -112,7 +116,28 @@ fn a_program_compared_with_itself_has_not_changed() {
         .find(|case| case["name"] == "lock/free")
         .unwrap();
     assert!(free["p50"]["old_ns"].as_f64().unwrap() > 0.0);
-    assert_eq!(fixture.names(), ["c.json"]);
+    assert!(fixture.names().is_empty());
+}
+
+/// Without a file, the figures are all that stdout has. Their schema describes each of them.
+#[test]
+fn the_figures_go_to_stdout_and_fit_their_schema() {
+    let fixture = Fixture::new();
+    let output = fixture.output(&["--seconds", "1", "lock", "one-cpu", "--json"]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    schema::fits("bench", &output.stdout);
+    assert!(fixture.names().is_empty());
+}
+
+/// Each help text has the exit statuses.
+#[test]
+fn each_help_has_the_exit_statuses() {
+    for words in [&["bench"][..], &["compare"], &["overruns"]] {
+        let output = Fixture::new().output(&[words, &["--help"]].concat());
+        let help = String::from_utf8(output.stdout).unwrap();
+        assert!(help.contains(EXIT_STATUS), "{words:?}: {help}");
+    }
 }
 
 /// Under SCHED_FIFO an end that spins keeps all others from its CPU. The measurement still ends

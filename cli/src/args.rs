@@ -1,6 +1,8 @@
 //! The arguments of the `tandem` command.
 
+mod can_bus;
 mod exec;
+mod shown;
 mod timing;
 
 use std::net::Ipv4Addr;
@@ -17,7 +19,9 @@ use tandem_boot_host::udp_bus::{GROUP, PORT};
 use tandem_vehicle::sensors::{NoSensorFault, NoSensorTiming};
 use tandem_vehicle::{SensorFault, SensorTiming};
 
+pub use can_bus::CanBus;
 pub use exec::{ExecArgs, ExecCommand, ExecRunArgs, ExecTargetArgs, ManifestArgs};
+pub use shown::{FoxgloveArgs, WebArgs};
 pub use timing::{GrandmasterArgs, GrandmasterScale, TimeArgs, TimeBoard};
 
 const EXAMPLES: &str = "\
@@ -30,9 +34,7 @@ The three jobs:
              the other system continues to drive; the report shows how
   reuse      the crates shm, redundancy, cores and bus are no_std; see README.md
 
-Exit status: 0 success; 1 the run failed (collision, no controller, two masters, ...);
-2 the command line or an input was wrong and nothing was started;
-3 nothing was heard (topics, time); 130 ended by Ctrl-C.";
+With --json a command prints one JSON document, and nothing else on stdout; docs/json.md.";
 
 const RUN_EXAMPLES: &str = "\
 Examples:
@@ -59,10 +61,7 @@ Examples:
   tandem topics soc --park 12        command the parking, as the ADAS computer does
 
 The controller publishes while `tandem run --soc` drives. docs/topics.md shows how to subscribe with
-Cyclone DDS. A writer of the controller serves two readers: beside the SoC, one `tandem topics`.
-
-Exit status: 0 success; 1 it failed; 2 the command line or a profile is wrong; 3 nothing was heard;
-130 ended by Ctrl-C.";
+Cyclone DDS. A writer of the controller serves two readers: beside the SoC, one `tandem topics`.";
 
 /// A fail-operational controller: two systems of three cores each, and the vehicle that they drive
 #[derive(Debug, Parser)]
@@ -105,7 +104,7 @@ pub enum Command {
     /// Show, initialise or clear the data flashes that `tandem run --dflash` keeps
     Dflash(DflashArgs),
     /// List the built-in scenarios
-    Scenarios,
+    Scenarios(ScenariosArgs),
     /// Convert the CAN log of a run to a format of Vector's tools: ASC or BLF
     CanLog(PassedArguments),
     /// Drive a folder of scenarios in virtual time and judge each drive
@@ -150,13 +149,18 @@ pub struct BootDemoArgs {
     /// [default: the output folder of `cargo xtask firmware build`]
     #[arg(long, value_name = "FOLDER")]
     pub images: Option<PathBuf>,
+
+    /// Print JSON: the records, the time of the download, and the frame of each core
+    #[arg(long)]
+    pub json: bool,
 }
 
-/// How other programs reach the bus of a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum CanKind {
-    /// UDP multicast on this machine
-    Udp,
+/// Arguments of `tandem scenarios`.
+#[derive(Debug, Args)]
+pub struct ScenariosArgs {
+    /// Print a JSON array of objects with name and description
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Arguments of `tandem run`.
@@ -186,10 +190,11 @@ pub struct RunArgs {
     #[arg(long, value_name = "RELEASE")]
     pub update: Option<u32>,
 
-    /// Open the bus to other programs: `udp` is the bus of python-can's udp_multicast. They hear
-    /// each frame, and what they send is on the bus; needs a route for multicast (docs/boot.md)
-    #[arg(long, value_enum, value_name = "BUS")]
-    pub can: Option<CanKind>,
+    /// Open the bus to other programs: on a SocketCAN interface such as vcan0, or as `udp`, the bus
+    /// of python-can's udp_multicast, which needs a route for multicast (docs/boot.md). They hear
+    /// each frame, and what they send is on the bus
+    #[arg(long, value_name = "INTERFACE|udp")]
+    pub can: Option<CanBus>,
 
     /// Multicast group of that bus
     #[arg(long, value_name = "ADDRESS", default_value_t = GROUP, requires = "can")]
@@ -476,6 +481,10 @@ pub struct DflashArgs {
     /// The folder of the data flashes, as for `tandem run --dflash`
     #[arg(long, value_name = "DIR", default_value = ".", global = true)]
     pub folder: PathBuf,
+
+    /// Print JSON: an object for each system
+    #[arg(long, global = true)]
+    pub json: bool,
 }
 
 /// The subcommands of `tandem dflash`.

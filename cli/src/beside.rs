@@ -20,6 +20,8 @@ const POLL_INTERVAL: Duration = Duration::from_millis(5);
 pub enum Program {
     /// The benchmarks, with the libraries that they compare.
     Bench,
+    /// The bus of a run on a SocketCAN interface.
+    Can,
     /// Runs in Foxglove, with its SDK.
     Foxglove,
     /// Virtual time, emulators, campaigns and experiments.
@@ -34,6 +36,7 @@ impl Program {
     const fn name(self) -> &'static str {
         match self {
             Self::Bench => "tandem-bench",
+            Self::Can => "tandem-can",
             Self::Foxglove => "tandem-foxglove",
             Self::Lab => "tandem-lab",
             Self::Top => "tandem-top",
@@ -44,7 +47,7 @@ impl Program {
     const fn package(self) -> &'static str {
         match self {
             Self::Bench => "tandem-benches",
-            Self::Foxglove | Self::Lab | Self::Top | Self::Web => self.name(),
+            Self::Can | Self::Foxglove | Self::Lab | Self::Top | Self::Web => self.name(),
         }
     }
 }

@@ -38,6 +38,19 @@ pub struct Downloaded {
     pub frames: [FirstFrame; CoreId::COUNT],
 }
 
+impl Downloaded {
+    /// Prints it for people, or as JSON.
+    ///
+    /// # Errors
+    /// If stdout cannot be written.
+    pub fn show(&self, as_json: bool) -> anyhow::Result<()> {
+        match as_json {
+            true => crate::print_json(self),
+            false => crate::print(&self.to_string()),
+        }
+    }
+}
+
 /// The first frame of a core.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct FirstFrame {

@@ -8,7 +8,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow};
-use rustix::termios::tcgetwinsize;
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board_host::process_list::{self, RunError};
@@ -19,6 +18,7 @@ use tandem_record::description::{is_holdover, no_grandmaster, time_source, time_
 
 use crate::args::TimeArgs;
 use crate::failure::Failure;
+use crate::live::columns;
 use crate::percentiles::DeviationFigures;
 
 /// How often the run is polled.
@@ -37,6 +37,7 @@ const SILENT: Duration = Duration::from_secs(1);
 pub fn run(args: &TimeArgs) -> Result<(), Failure> {
     let places = OutputFile::check_all([("--json", args.json.as_deref())]);
     let [json_to] = places.map_err(Failure::usage)?;
+    let is_quiet = json_to.as_ref().is_some_and(OutputFile::is_stdout);
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&stop)).context("Ctrl-C")?;
@@ -57,7 +58,9 @@ pub fn run(args: &TimeArgs) -> Result<(), Failure> {
                 newest = Some(time);
             }
         });
-        if let Some(time) = newest {
+        if let Some(time) = newest
+            && !is_quiet
+        {
             screen.show(&time)?;
         }
         if heard.elapsed() > SILENT && process_list::run_named(Some(&run)).is_err() {
@@ -128,7 +131,7 @@ impl Screen {
     fn show(&mut self, time: &VehicleClocks) -> anyhow::Result<()> {
         if self.is_terminal {
             // Cut at the terminal's width: a wrapped line could not be updated.
-            let columns = tcgetwinsize(io::stdout()).map_or(80, |size| usize::from(size.ws_col));
+            let columns = columns(io::stdout());
             let mut text = match self.lines {
                 0 => String::new(),
                 lines => format!("\x1b[{lines}A\x1b[J"),

@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, ensure};
+use serde_json::{Value, json};
 use tandem_board::{DataFlash, FlashStatus, SystemId};
 use tandem_board_host::HostFlash;
 use tandem_redundancy::{FlashOp, Geometry, Loaded, StateStore, SystemState};
@@ -37,9 +38,15 @@ pub fn run(args: &DflashArgs) -> anyhow::Result<String> {
             }
         }
     }
-    let mut text = String::new();
+    let (mut text, mut rows) = (String::new(), Vec::new());
     for system in SystemId::ALL {
-        show(&mut text, system, &path(&args.folder, system))?;
+        let path = path(&args.folder, system);
+        let stored = Stored::at(&path)?;
+        let _ = writeln!(text, "{system}  {}", stored.text(&path));
+        rows.push(stored.json(system));
+    }
+    if args.json {
+        text = serde_json::to_string_pretty(&rows)? + "\n";
     }
     Ok(text)
 }
@@ -86,53 +93,84 @@ fn write(path: &Path, state: Option<SystemState>) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn show(text: &mut String, system: SystemId, path: &Path) -> anyhow::Result<()> {
-    let shown = path.display();
-    if !path.exists() {
-        let _ = writeln!(text, "{system}  no data flash at {shown}: a run creates it");
-        return Ok(());
+/// The content of a system's data flash.
+enum Stored {
+    /// There is no file.
+    Absent,
+    Blank,
+    /// No record is valid.
+    Lost,
+    State(SystemState),
+}
+
+impl Stored {
+    fn at(path: &Path) -> anyhow::Result<Self> {
+        if !path.exists() {
+            return Ok(Self::Absent);
+        }
+        let flash = HostFlash::open(path).context("reading")?;
+        Ok(match load(&flash).1 {
+            Loaded::State(state) => Self::State(state),
+            Loaded::Blank => Self::Blank,
+            Loaded::Lost => Self::Lost,
+        })
     }
-    let flash = HostFlash::open(path).context("reading")?;
-    let state = match load(&flash).1 {
-        Loaded::State(state) => state,
-        Loaded::Blank => {
-            let _ = writeln!(
-                text,
-                "{system}  blank: the next start writes the factory state"
-            );
-            return Ok(());
-        }
-        Loaded::Lost => {
-            let _ = writeln!(
-                text,
-                "{system}  no valid record: `tandem dflash init` repairs it"
-            );
-            return Ok(());
-        }
-    };
-    let yes = |is: bool| if is { "yes" } else { "no" };
-    let SystemState {
-        is_master,
-        sys_failure,
-        failure_mode,
-        cpsys_failure,
-        abn_resets,
-        total_resets,
-        abn_in_a_row,
-        wrong_in_a_row,
-        term,
-    } = state;
-    let _ = writeln!(
-        text,
-        "{system}  master {}, own failure {} ({failure_mode:?}), other's failure {}, \
-         resets {total_resets}, abnormal {abn_resets} ({abn_in_a_row} in a row), \
-         wrong commands {wrong_in_a_row} in a row, term {}",
-        yes(is_master),
-        yes(sys_failure),
-        yes(cpsys_failure),
-        term.bits()
-    );
-    Ok(())
+
+    fn text(&self, path: &Path) -> String {
+        let state = match self {
+            Self::State(state) => state,
+            Self::Absent => {
+                return format!("no data flash at {}: a run creates it", path.display());
+            }
+            Self::Blank => return "blank: the next start writes the factory state".to_owned(),
+            Self::Lost => return "no valid record: `tandem dflash init` repairs it".to_owned(),
+        };
+        let yes = |is: bool| if is { "yes" } else { "no" };
+        let SystemState {
+            is_master,
+            sys_failure,
+            failure_mode,
+            cpsys_failure,
+            abn_resets,
+            total_resets,
+            abn_in_a_row,
+            wrong_in_a_row,
+            term,
+        } = *state;
+        format!(
+            "master {}, own failure {} ({failure_mode:?}), other's failure {}, \
+             resets {total_resets}, abnormal {abn_resets} ({abn_in_a_row} in a row), \
+             wrong commands {wrong_in_a_row} in a row, term {}",
+            yes(is_master),
+            yes(sys_failure),
+            yes(cpsys_failure),
+            term.bits()
+        )
+    }
+
+    /// Returns an object of the array that `--json` prints.
+    fn json(&self, system: SystemId) -> Value {
+        let (content, state) = match self {
+            Self::Absent => ("absent", None),
+            Self::Blank => ("blank", None),
+            Self::Lost => ("lost", None),
+            Self::State(state) => ("state", Some(state)),
+        };
+        let state = state.map(|it| {
+            json!({
+                "is_master": it.is_master,
+                "own_failure": it.sys_failure,
+                "failure_mode": format!("{:?}", it.failure_mode),
+                "others_failure": it.cpsys_failure,
+                "resets": it.total_resets,
+                "abnormal_resets": it.abn_resets,
+                "abnormal_resets_in_a_row": it.abn_in_a_row,
+                "wrong_commands_in_a_row": it.wrong_in_a_row,
+                "term": it.term.bits(),
+            })
+        });
+        json!({ "system": system.to_string(), "content": content, "state": state })
+    }
 }
 
 #[cfg(test)]
@@ -144,6 +182,7 @@ mod tests {
         let args = DflashArgs {
             command,
             folder: folder.to_owned(),
+            json: false,
         };
         run(&args).unwrap()
     }
@@ -195,6 +234,7 @@ mod tests {
             let args = DflashArgs {
                 command,
                 folder: folder.clone(),
+                json: false,
             };
             let error = run(&args).unwrap_err().to_string();
             assert!(error.contains("no such folder"), "{error}");
@@ -209,6 +249,7 @@ mod tests {
         let args = DflashArgs {
             command: DflashCommand::Clear { system: None },
             folder: folder.path().to_owned(),
+            json: false,
         };
         let error = run(&args).unwrap_err().to_string();
         assert!(error.contains("in use"), "{error}");

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use anyhow::{Context as _, anyhow};
+use serde_json::json;
 use tandem_boot_host::SigningKey;
 use tandem_exec_host::trust::sign;
 use tandem_manifest::Manifest;
@@ -25,6 +26,9 @@ pub struct SignArgs {
     /// Raise it to retire older lists, and `lowest-counter` in the anchor after that
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     counter: u32,
+    /// Print JSON: the parts, and the public key
+    #[arg(long)]
+    json: bool,
 }
 
 /// Signs, and prints each part and the public key.
@@ -59,6 +63,11 @@ fn signed(args: &SignArgs) -> anyhow::Result<String> {
     );
     // The text names the reason already, which is also the source.
     let parts = parts.map_err(|error| anyhow!("{error}"))?;
+    let public = key.public().map(|byte| format!("{byte:02x}")).concat();
+    if args.json {
+        let all = json!({ "key_number": key.number, "public_key": public, "parts": parts });
+        return Ok(serde_json::to_string_pretty(&all)? + "\n");
+    }
     let mut text = String::new();
     for part in &parts {
         let kind = format!("{:?}", part.kind).to_lowercase();
@@ -68,7 +77,6 @@ fn signed(args: &SignArgs) -> anyhow::Result<String> {
             part.length, part.sha256, part.path
         )?;
     }
-    let public = key.public().map(|byte| format!("{byte:02x}")).concat();
     writeln!(
         text,
         "{} parts signed by key {}: {public}",

@@ -1,6 +1,7 @@
 //! The line in the terminal that shows the current state of a run.
 
 use std::io::{IsTerminal as _, stderr};
+use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -59,12 +60,18 @@ fn line(live: &Live, duration_s: f64) -> String {
 /// Moves to the first column of the terminal and clears the line.
 const CLEAR: &str = "\r\x1b[2K";
 
+/// Returns the width of a terminal, characters; 80 if it does not tell one.
+pub(crate) fn columns(terminal: impl AsFd) -> usize {
+    let told = tcgetwinsize(terminal).map_or(0, |size| usize::from(size.ws_col));
+    if told == 0 { 80 } else { told }
+}
+
 fn follow(path: &Path, duration_s: f64, over: &AtomicBool) {
     eprint!("starting");
     while !over.load(Ordering::Relaxed) {
         if let Some(live) = Live::read(path) {
             // Cut the line at the terminal's width: a wrapped line could not be cleared.
-            let columns = tcgetwinsize(stderr()).map_or(80, |size| usize::from(size.ws_col));
+            let columns = columns(stderr());
             eprint!("{CLEAR}{:.columns$}", line(&live, duration_s));
         }
         std::thread::sleep(REFRESH);

@@ -4,20 +4,22 @@
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-use clap::Parser as _;
-use tandem::args::{Cli, Command, TimeBoard};
+use serde_json::json;
+use tandem::args::{Cli, Command, ScenariosArgs, TimeBoard};
 use tandem::beside::{Program, become_program};
 use tandem::board_kind::{BoardKind, DemoBoard};
 use tandem::failure::Failure;
 use tandem::{
-    boot_demo, clock_view, dflash, exec, grandmaster, injection, print, ps, publish, run, soc,
-    topics,
+    boot_demo, clock_view, dflash, exec, grandmaster, injection, print, print_json, ps, publish,
+    run, soc, topics,
 };
+use tandem_page::command_line;
 
 fn main() -> ExitCode {
     tandem::program(|| {
         let words = words();
-        command(Cli::parse_from(&words).command, &words[1..])
+        let cli: Cli = command_line::parse(words.iter().cloned());
+        command(cli.command, &words[1..])
     })
 }
 
@@ -56,12 +58,9 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         Command::BootDemo(args) if args.board != DemoBoard::Host => {
             become_program(Program::Lab, words)
         }
-        Command::BootDemo(_) => {
-            let shown = boot_demo::on_host()?;
-            print(&shown.to_string()).map_err(Failure::Run)
-        }
+        Command::BootDemo(args) => boot_demo::on_host()?.show(args.json).map_err(Failure::Run),
         Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
-        Command::Scenarios => scenarios().map_err(Failure::Run),
+        Command::Scenarios(args) => scenarios(&args).map_err(Failure::Run),
         Command::Publish => publish::run().map_err(Failure::Run),
         Command::Soc(args) => soc::run(&args),
         Command::Grandmaster(args) => grandmaster::run(&args),
@@ -80,7 +79,12 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
     }
 }
 
-fn scenarios() -> anyhow::Result<()> {
+fn scenarios(args: &ScenariosArgs) -> anyhow::Result<()> {
+    if args.json {
+        let all = tandem_vehicle::Scenario::descriptions();
+        let row = |(name, description)| json!({ "name": name, "description": description });
+        return print_json(&all.map(row).collect::<Vec<_>>());
+    }
     let mut text = String::new();
     for (name, description) in tandem_vehicle::Scenario::descriptions() {
         text += &format!("{name:14}  {description}\n");

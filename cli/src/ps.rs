@@ -1,6 +1,5 @@
 //! `tandem ps`: lists the processes of all runs.
 
-use anyhow::Context as _;
 use serde::Serialize;
 use tandem_board::SystemId;
 use tandem_board_host::process_list::{self, Process, ProcessKind};
@@ -43,13 +42,10 @@ fn row(process: &Process) -> Row {
 /// If stdout cannot be written.
 pub fn run(args: &PsArgs) -> anyhow::Result<()> {
     let processes = process_list::list();
-    let text = if args.json {
-        let rows: Vec<Row> = processes.iter().map(row).collect();
-        serde_json::to_string_pretty(&rows).context("the list of processes")? + "\n"
-    } else {
-        table(&processes)
-    };
-    crate::print(&text)
+    if args.json {
+        return crate::print_json(&processes.iter().map(row).collect::<Vec<Row>>());
+    }
+    crate::print(&table(&processes))
 }
 
 fn table(processes: &[Process]) -> String {

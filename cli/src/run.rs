@@ -19,8 +19,9 @@ use tandem_record::verdict::Beside;
 use tandem_redundancy::Budget;
 use tandem_vehicle::Scenario;
 
-use crate::args::{CanKind, CpuList, RunArgs, SocArgs, Timing};
+use crate::args::{CanBus, CpuList, RunArgs, SocArgs, Timing};
 use crate::board_kind::BoardKind;
+use crate::can_bridge::CanBridge;
 use crate::collected::{Collected, read};
 use crate::failure::Failure;
 use crate::grandmaster::{GrandmasterEnd, GrandmasterProcess};
@@ -32,8 +33,8 @@ use crate::soc::{SocEnd, SocProcess};
 use crate::stall_watch::{self, Seen, StallWatch};
 use crate::{summary, topics};
 use tandem_processes::boot::{self, ProgramFlashes};
-use tandem_processes::can_udp::{CanGroup, CanUdp};
 use tandem_processes::files::RunFiles;
+use tandem_processes::open_bus::{OpenBus, OpenBusPlace};
 use tandem_processes::run_config::{LimitProfile, RunConfig, UpdateFiles};
 use tandem_processes::update::objections;
 use tandem_processes::{core_process, vehicle};
@@ -49,7 +50,8 @@ const TIMERS_LATE: Duration = Duration::from_ms(2);
 /// Returns the [`Failure`] whose exit status the command documents.
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
-    // It needs the `/dev/shm` that it shares with observers, so it starts before the launcher.
+    // Both need the `/dev/shm` that they share with observers, so they start before the launcher.
+    let bridge = CanBridge::start(args)?;
     let publishing = Publishing::prepare(args)?;
     let mut launcher = Launcher::prepare()?;
     let (profile, granted) = grant(args, &checked, &launcher).map_err(Failure::Usage)?;
@@ -57,7 +59,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         .then(|| stall_watch::longest(&checked.places, profile == LimitProfile::Rt, MEASURED_FOR));
     let config = RunConfig {
         stall_us: longest.map(|it| u32::try_from(it.as_us()).unwrap_or(u32::MAX)),
-        ..config_of(args, profile)
+        ..config_with(args, profile, bridge.as_ref())
     };
     if !args.quiet {
         eprintln!("{granted}\n{}", limits(&config.budget(), longest));
@@ -72,6 +74,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     };
     let driven = drive(args, &checked, &config, &files, &mut launcher, publishing);
     let machine = watch.end();
+    drop(bridge);
     let Driven {
         ended,
         soc,
@@ -100,7 +103,8 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     )
 }
 
-/// Returns the configuration that the command line describes, without program flashes.
+/// Returns the configuration that the command line describes, without program flashes and without
+/// a CAN interface.
 pub fn config_of(args: &RunArgs, profile: LimitProfile) -> RunConfig {
     RunConfig {
         scenario: args.scenario.clone(),
@@ -113,14 +117,21 @@ pub fn config_of(args: &RunArgs, profile: LimitProfile) -> RunConfig {
         parks_from_s: args.parks_from_s(),
         sensor_faults: args.sensor_fault.clone(),
         sensor_timing: args.sensor_time.clone(),
-        can: can_group(args),
+        can: multicast(args),
         ..RunConfig::default()
     }
 }
 
-/// Returns where other programs hear the bus, if they do.
-fn can_group(args: &RunArgs) -> Option<CanGroup> {
-    args.can.map(|CanKind::Udp| CanGroup {
+/// Returns the same with the bridge to a CAN interface, if the run has one.
+fn config_with(args: &RunArgs, profile: LimitProfile, bridge: Option<&CanBridge>) -> RunConfig {
+    let config = config_of(args, profile);
+    let can = bridge.map(CanBridge::place).or(config.can.clone());
+    RunConfig { can, ..config }
+}
+
+/// Returns where other programs hear the bus over UDP, if they do.
+fn multicast(args: &RunArgs) -> Option<OpenBusPlace> {
+    (args.can == Some(CanBus::Udp)).then_some(OpenBusPlace::Udp {
         group: args.can_group,
         port: args.can_port,
     })
@@ -202,7 +213,8 @@ pub fn run_elsewhere(
     drive: impl FnOnce(&RunConfig, &RunFiles) -> Result<DrivenElsewhere, Failure>,
 ) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
-    let config = config_of(args, LimitProfile::Rt);
+    let bridge = CanBridge::start(args)?;
+    let config = config_with(args, LimitProfile::Rt, bridge.as_ref());
     let folder = tempfile::tempdir().context("a folder for the run's logs")?;
     let files = RunFiles::within(folder.path());
     let mut publishing = Publishing::prepare(args)?;
@@ -346,7 +358,7 @@ fn conclude(
         return Err(Failure::Interrupted);
     }
     let metrics = collected.and_then(|c| c.write(&checked.out, around))?;
-    print_summary(args, &checked.out, &metrics)?;
+    print_summary(args, &checked.out, &metrics, &updates)?;
     if interrupted {
         return Err(Failure::DrivenUntil(metrics.duration_s));
     }
@@ -379,7 +391,8 @@ impl Checked {
     fn new(args: &RunArgs) -> anyhow::Result<Self> {
         check_board(args)?;
         check_scenario(&args.scenario)?;
-        can_group(args).map(CanUdp::join).transpose()?;
+        let can = multicast(args);
+        can.as_ref().map(OpenBus::join).transpose()?;
         let domain = args.network().map(topics::claim).transpose()?;
         let out = ReportFolder::check(&args.out)?;
         outside_shared_memory("--out", out.path())?;
@@ -700,16 +713,20 @@ fn leftovers(found: &Leftovers) -> Vec<String> {
 }
 
 /// Prints the summary of the run on the terminal.
-fn print_summary(args: &RunArgs, out: &ReportFolder, metrics: &Metrics) -> anyhow::Result<()> {
+fn print_summary(
+    args: &RunArgs,
+    out: &ReportFolder,
+    metrics: &Metrics,
+    besides: &[String],
+) -> anyhow::Result<()> {
     let report = out.path().join(output::REPORT);
     if args.json {
-        let json = serde_json::to_string_pretty(metrics).context("metrics.json")?;
-        return crate::print(&format!("{json}\n"));
+        return crate::print_json(metrics);
     }
     if args.quiet {
         return Ok(());
     }
-    crate::print(&summary::table(metrics, &report))
+    crate::print(&summary::table(metrics, besides, &report))
 }
 
 #[cfg(test)]

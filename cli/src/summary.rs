@@ -3,19 +3,23 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use tandem_record::verdict::{Outcome, Verdict};
+
 use crate::metrics::Metrics;
 use crate::percentiles::DeviationFigures;
 use crate::soc::SocFigures;
 use crate::time_figures::TimeFigures;
 use crate::topics::IdFigures;
 
-/// Returns the most important figures, and the path of the report.
-pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
+/// Returns the verdict, then the most important figures, and the path of the report.
+/// `besides` is what else fails the run.
+pub(crate) fn table(metrics: &Metrics, besides: &[String], report: &Path) -> String {
     let mut text = String::new();
     let mut row = |name: &str, value: String| {
         let _ = writeln!(text, "  {name:22}{value}");
     };
     let ms = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+    row("verdict", verdict(&metrics.verdict, besides));
     row(
         "scenario",
         format!(
@@ -97,11 +101,20 @@ pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
     if let Some(time) = &metrics.time {
         row("time", together(time));
     }
-    let parts = metrics.verdict.parts().into_iter();
-    let verdict: Vec<String> = parts.map(|(_, part)| part).collect();
-    row("verdict", verdict.join(&format!("\n{:24}", "")));
     row("report", report.display().to_string());
     text
+}
+
+/// Returns the verdict in one word or two, and why.
+fn verdict(of: &Verdict, besides: &[String]) -> String {
+    let parts = of.parts().into_iter().map(|(_, part)| part);
+    let parts: Vec<String> = besides.iter().cloned().chain(parts).collect();
+    let why = parts.join(&format!("\n{:24}", ""));
+    match of.outcome {
+        Outcome::UnderControl if besides.is_empty() => format!("good: {why}"),
+        Outcome::NotJudged if besides.is_empty() => why,
+        _ => format!("failed: {why}"),
+    }
 }
 
 /// How far A and B were apart.
@@ -168,8 +181,35 @@ mod tests {
             &Timeline::default(),
             &Surroundings::default(),
         );
-        let text = table(&metrics, Path::new("/x/report.html"));
+        let text = table(&metrics, &[], Path::new("/x/report.html"));
         assert!(text.contains("A to B at 5.0"), "{text}");
         assert!(text.contains("/x/report.html"), "{text}");
+    }
+
+    /// The first line says how the run ended, and why.
+    #[test]
+    fn the_verdict_stands_first() {
+        let mut metrics = compute(
+            &synthetic::with_takeover(10.0),
+            &Timeline::default(),
+            &Surroundings::default(),
+        );
+        let mut first_line = |outcome, besides: &[&str]| {
+            metrics.verdict = Verdict {
+                outcome,
+                findings: vec![],
+            };
+            let besides: Vec<String> = besides.iter().map(|it| (*it).to_owned()).collect();
+            let text = table(&metrics, &besides, Path::new("/x"));
+            let line = text.lines().next().unwrap_or_default().trim();
+            let (name, verdict) = line.split_once(' ').unwrap_or_default();
+            assert_eq!(name, "verdict");
+            verdict.trim().to_owned()
+        };
+        let good = "good: The vehicle was under control";
+        assert!(first_line(Outcome::UnderControl, &[]).starts_with(good));
+        assert!(first_line(Outcome::NotJudged, &[]).starts_with("not judged: no real time"));
+        let refused = first_line(Outcome::UnderControl, &["no update"]);
+        assert_eq!(refused, "failed: no update");
     }
 }

@@ -136,6 +136,10 @@ pub(crate) struct BootloaderArgs {
     #[arg(long)]
     pub(crate) monitor: bool,
 
+    /// Print JSON: what it would start
+    #[arg(long)]
+    pub(crate) json: bool,
+
     /// Approve the image on trial, as the application does, and exit
     #[arg(long)]
     pub(crate) approve: bool,

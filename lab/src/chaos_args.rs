@@ -4,8 +4,8 @@ use std::num::NonZero;
 use std::path::PathBuf;
 
 use clap::Args;
-
 use tandem::board_kind::DemoBoard;
+use tandem_page::output::STDOUT;
 
 /// Arguments of `tandem chaos`.
 #[derive(Debug, Args)]
@@ -45,7 +45,8 @@ pub(crate) struct ChaosArgs {
 
     /// Write {faults, violations, classes: [{name, n, detection_p99_ms, gap_p99_ms, gap_max_ms,
     /// bound_ms, ...}]} to this file
-    #[arg(long, value_name = "FILE")]
+    /// [without FILE: to stdout, instead of the report]
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
     pub(crate) json: Option<PathBuf>,
 
     /// Inject these faults in one drive and exit; internal, started by the campaign
@@ -67,8 +68,7 @@ violation if the evidence shows that the machine itself stood still for that lon
   tandem chaos --faults my.toml --count 20   a file of `tandem sim --save`, where A is the system
                                              that drives, and B the standby
 
-Exit status: 0 if all was as it must be, 1 if not, 2 if an argument or a file is wrong, 130 after
-Ctrl-C, with the report of what was done.";
+After Ctrl-C it reports what was done.";
 
 impl ChaosArgs {
     /// Returns the arguments that make a drive omit the same cells of the matrix.

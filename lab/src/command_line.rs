@@ -3,14 +3,15 @@
 use std::fs;
 
 use clap::{Args as _, Command, CommandFactory as _};
-use tandem::args::RunChoice;
+use tandem::args::{FoxgloveArgs, RunChoice, WebArgs};
 use tandem::failure::Failure;
+use tandem_page::command_line::with_exit_statuses;
 use tandem_page::output::OutputFolder;
 
 use crate::args::{Cli, CompletionsArgs, ManArgs};
 
-/// Returns the command line of `tandem`, with the arguments of the commands that `tandem-lab` and
-/// `tandem-top` implement. Those of `tandem bench` are left out: they are in the package of the
+/// Returns the command line of `tandem`, with the arguments of the commands that other programs
+/// implement. Those of `tandem bench` are left out: they are in the package of the
 /// benchmarks, which builds all their peers.
 fn whole() -> Command {
     let lab = Cli::command();
@@ -25,12 +26,14 @@ fn whole() -> Command {
             let about = command.get_about().cloned().unwrap_or_default();
             match &*name {
                 "bench" => Command::new("bench").about(about),
+                "foxglove" => FoxgloveArgs::augment_args(Command::new("foxglove")).about(about),
+                "web" => WebArgs::augment_args(Command::new("web")).about(about),
                 "top" => RunChoice::augment_args(Command::new("top")).about(about),
                 _ => own.cloned().unwrap_or(command),
             }
         });
     }
-    whole
+    with_exit_statuses(whole)
 }
 
 /// Prints the script that completes the commands in this shell.
@@ -66,6 +69,24 @@ pub(crate) fn write_pages(args: &ManArgs) -> Result<(), Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tandem_page::command_line::EXIT_STATUS;
+
+    /// Each help text, and with it each page, ends with the exit statuses, once.
+    #[test]
+    fn each_help_has_the_exit_statuses() {
+        fn check(command: &mut Command, path: &str) {
+            let help = command.render_long_help().to_string();
+            assert_eq!(help.matches(EXIT_STATUS).count(), 1, "{path}: {help}");
+            assert!(help.trim_end().ends_with(EXIT_STATUS), "{path}: {help}");
+            // clap adds the command `help` itself.
+            let inner = command.get_subcommands_mut();
+            for inner in inner.filter(|it| it.get_name() != "help") {
+                let path = format!("{path} {}", inner.get_name());
+                check(inner, &path);
+            }
+        }
+        check(&mut whole(), "tandem");
+    }
 
     /// No command is left that only passes its arguments on.
     #[test]
@@ -76,7 +97,7 @@ mod tests {
             let words = command.get_arguments().find(|it| it.get_id() == "words");
             assert!(words.is_none(), "{name} passes its arguments on");
             let count = command.get_arguments().count() + command.get_subcommands().count();
-            let has_none = ["bench", "publish", "scenarios"].contains(&name);
+            let has_none = ["bench", "publish"].contains(&name);
             assert_eq!(count == 0, has_none, "{name}");
         }
     }

@@ -5,6 +5,7 @@ use crate::boot_args::{BootloaderArgs, FlashArgs};
 use crate::flash_info;
 use anyhow::{Context as _, anyhow, bail};
 use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
 use std::time::Instant as Clock;
@@ -165,6 +166,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
         let clock = Clock::now();
         let mut loader = Loader::start(&mut flash, setup, Instant::ORIGIN);
         match serve(&wire, clock, &mut loader)? {
+            Next::Jump(launch) if args.json => return tandem::print_json(&as_json(&launch)),
             Next::Jump(launch) => return tandem::print(&shown(&launch)),
             Next::StartBank(other) => setup.bank = other,
             _ => {
@@ -180,6 +182,14 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
 /// acts as the primary one.
 fn bank(flash: &mut FlashFile) -> Bank {
     rom_choice(flash).unwrap_or(Bank::Primary)
+}
+
+fn as_json(launch: &Launch) -> Value {
+    json!({
+        "slot": format!("{:?}", launch.application),
+        "release": launch.version,
+        "entries": launch.entries,
+    })
 }
 
 fn shown(launch: &Launch) -> String {

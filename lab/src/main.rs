@@ -23,15 +23,17 @@ mod work;
 
 use std::process::ExitCode;
 
-use clap::Parser as _;
 use tandem::board_kind::BoardKind;
 use tandem::failure::Failure;
-use tandem::{grandmaster, print, publish, run, soc};
+use tandem::{grandmaster, publish, run, soc};
 
 use args::{Cli, Command};
 
 fn main() -> ExitCode {
-    tandem::program(|| command(Cli::parse().command))
+    tandem::program(|| {
+        let cli: Cli = tandem_page::command_line::parse(std::env::args_os());
+        command(cli.command)
+    })
 }
 
 fn command(command: Command) -> Result<(), Failure> {
@@ -51,14 +53,10 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Chaos(args) => chaos::run(&args),
         Command::Thesis(args) => thesis::run(&args),
         Command::Time(args) => time::run(&args),
-        Command::RtosDemo(args) => {
-            let shown = rtos_demo::run(&args)?;
-            print(&shown).map_err(Failure::Run)
-        }
+        Command::RtosDemo(args) => rtos_demo::run(&args).map_err(Failure::Run),
         Command::BootDemo(args) => {
             let shown = boot_demo::experiment(args.board, args.images.as_deref());
-            let shown = shown?;
-            print(&shown.to_string()).map_err(Failure::Run)
+            shown?.show(args.json).map_err(Failure::Run)
         }
     }
 }

@@ -5,6 +5,7 @@
 //! The picture is drawn from these records.
 
 use anyhow::{Context as _, Result, ensure};
+use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -41,14 +42,57 @@ pub(crate) struct Picture {
     changes: Changes,
 }
 
-/// Runs both tests and returns the text to show. Also writes the pictures to the file of `--svg`,
-/// if given.
-pub(crate) fn run(args: &RtosDemoArgs) -> Result<String> {
+/// A picture in the output of `--json`.
+#[derive(Debug, Serialize)]
+struct PictureRow {
+    id: &'static str,
+    title: &'static str,
+    clock: &'static str,
+    span_ms: u32,
+    outputs: Vec<OutputRow>,
+}
+
+/// An output in the output of `--json`.
+#[derive(Debug, Serialize)]
+struct OutputRow {
+    name: &'static str,
+    period_ms: u32,
+    changes_ms: Vec<f64>,
+}
+
+impl From<&Picture> for PictureRow {
+    fn from(picture: &Picture) -> Self {
+        let Picture {
+            test,
+            clock,
+            changes,
+        } = picture;
+        let row = |(output, changes): (&Output, &Vec<f64>)| OutputRow {
+            name: output.name,
+            period_ms: output.period_ms,
+            changes_ms: changes.clone(),
+        };
+        Self {
+            id: test.id,
+            title: test.title,
+            clock,
+            span_ms: SPAN_MS,
+            outputs: test.outputs.iter().zip(changes).map(row).collect(),
+        }
+    }
+}
+
+/// Runs both tests and prints the pictures. Also writes them to the file of `--svg`, if given.
+pub(crate) fn run(args: &RtosDemoArgs) -> Result<()> {
     let pictures = pictures(args.board, args.firmware.as_deref())?;
     if let Some(path) = &args.svg {
         std::fs::write(path, draw(&pictures)).with_context(|| path.display().to_string())?;
     }
-    Ok(pictures.iter().map(show).collect())
+    if args.json {
+        let rows: Vec<PictureRow> = pictures.iter().map(PictureRow::from).collect();
+        return tandem::print_json(&rows);
+    }
+    tandem::print(&pictures.iter().map(show).collect::<String>())
 }
 
 /// Runs both tests on this board. `firmware` is the image for the emulated board.

@@ -102,6 +102,7 @@ pub(crate) fn run(args: &TimeArgs) -> Result<(), Failure> {
         all.measure(seed);
     }
     let rows = all.rows();
+    let is_quiet = json_to.as_ref().is_some_and(OutputFile::is_stdout);
     if let Some(place) = json_to {
         let json = Json {
             board: "sim",
@@ -110,7 +111,9 @@ pub(crate) fn run(args: &TimeArgs) -> Result<(), Failure> {
         };
         place.write(&(serde_json::to_string_pretty(&json).map_err(anyhow::Error::from)? + "\n"))?;
     }
-    tandem::print(&table(&rows, &all.converged_s))?;
+    if !is_quiet {
+        tandem::print(&table(&rows, &all.converged_s))?;
+    }
     let beyond = rows.iter().filter(|row| !row.ok);
     let beyond: Vec<_> = beyond
         .map(|row| {

@@ -1,6 +1,9 @@
 //! Tests `tandem flash` and `tandem bootloader` over CAN on UDP, in a separate network namespace.
 #![allow(clippy::unwrap_used)]
 
+#[path = "../../tests/json/schema.rs"]
+mod schema;
+
 use std::fs;
 use std::io::Write as _;
 use std::process::Command;
@@ -57,13 +60,20 @@ fn a_file_is_signed_sent_and_started() {
         flash 0x100100.srec --release 2 --to A & bootloader --requested; wait
         bootloader
         flash 0x100100.srec --release 0 & bootloader --requested; wait
+        echo starts $(bootloader --json)
+        $TANDEM flash --info --to A --json >info.json & bootloader --requested >started.txt; wait
+        echo holds $(cat info.json)
     ";
     let Some(said) = run("a_file_is_signed_sent_and_started", script) else {
         return;
     };
-    let count = |text| said.matches(text).count();
+    let (shown, documents) = said.split_once("starts {").unwrap();
+    let count = |text| shown.matches(text).count();
     assert_eq!(count("verified by the bootloader"), 2, "{said}");
     assert_eq!(count("slot A, version 1"), 3, "{said}");
     assert_eq!(count("slot B, version 2, entries 0x100100"), 1, "{said}");
     assert_eq!(count("Downgrade"), 1, "{said}");
+    let (starts, holds) = documents.split_once("holds ").unwrap();
+    schema::fits("bootloader", format!("{{{starts}").as_bytes());
+    schema::fits("flash-info", holds.as_bytes());
 }

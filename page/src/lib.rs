@@ -1,10 +1,12 @@
 //! Self-contained pages (no fonts, no other files; scripts only for plots), and the files for
 //! results.
 //!
-//! The report of a run and the benchmark share one template, one style and one set of charts.
+//! The report of a run and the benchmark share one template, one style and one set of charts. Their
+//! command lines share the text about exit statuses.
 #![forbid(unsafe_code)]
 
 pub mod chart;
+pub mod command_line;
 pub mod format;
 pub mod hgrm;
 pub mod output;

@@ -1,6 +1,8 @@
 //! Files for results. A path is checked before anything is measured, and nothing is created before
 //! there are results to write.
 //!
+//! The path `-` stands for stdout.
+//!
 //! A run may get a private `/dev/shm`, where the caller's paths would name other files. So the
 //! place is opened at the check and stays open until the results are written.
 
@@ -10,6 +12,9 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
+
+/// The path that stands for stdout.
+pub const STDOUT: &str = "-";
 
 /// The reason why results cannot be written to a place.
 #[derive(Debug, thiserror::Error)]
@@ -61,6 +66,8 @@ impl Place {
 
 #[derive(Debug)]
 enum Target {
+    /// Stdout. A closed pipe is no error.
+    Stdout,
     /// The place exists and is open: a file, a folder, or a device such as a terminal.
     Present(File),
     /// The place does not exist; the folder that will contain it is open.
@@ -77,6 +84,7 @@ impl OutputFile {
     /// [`OutputError`] names the obstacle.
     pub fn check(option: &'static str, path: &Path) -> Result<Self, OutputError> {
         let target = match fs::metadata(path) {
+            _ if path == Path::new(STDOUT) => Ok(Target::Stdout),
             Ok(found) if found.is_dir() => Err("it is a folder; name a file".to_owned()),
             Ok(_) => {
                 let file = OpenOptions::new().write(true).open(path);
@@ -104,6 +112,12 @@ impl OutputFile {
         Ok(places)
     }
 
+    /// Returns whether this is stdout. Then the command prints nothing else there.
+    #[must_use]
+    pub const fn is_stdout(&self) -> bool {
+        matches!(self.0.target, Target::Stdout)
+    }
+
     /// Writes the file. A new file is never left half-written.
     ///
     /// # Errors
@@ -111,6 +125,7 @@ impl OutputFile {
     pub fn write(self, content: &(impl AsRef<[u8]> + ?Sized)) -> Result<(), OutputError> {
         let content = content.as_ref();
         self.0.write(|target| match target {
+            Target::Stdout => print(content),
             Target::Present(file) => overwrite(file, content),
             Target::Absent(folder, name) => create(&folder, &name, content),
         })
@@ -140,6 +155,8 @@ impl OutputFolder {
     pub fn fill(self, files: &[(String, String)]) -> Result<(), OutputError> {
         self.0.write(|target| {
             let folder = match target {
+                // `check` does not make it of a folder.
+                Target::Stdout => return Err(io::ErrorKind::NotADirectory.into()),
                 Target::Present(folder) => folder,
                 Target::Absent(parent, name) => {
                     mkdirat(&parent, &name, Mode::from_raw_mode(0o777))?;
@@ -204,6 +221,13 @@ fn absent(path: &Path) -> Why {
 fn open_folder(path: &Path) -> Result<File, String> {
     let tried = tempfile::tempfile_in(path).and_then(|_| File::open(path));
     tried.map_err(|error| format!("cannot write in {}: {}", path.display(), error))
+}
+
+fn print(content: &[u8]) -> io::Result<()> {
+    match io::stdout().write_all(content) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        written => written,
+    }
 }
 
 fn overwrite(mut file: File, content: &[u8]) -> io::Result<()> {
@@ -300,6 +324,16 @@ mod tests {
             .to_string();
         assert!(error.contains("name a folder"), "{error}");
         assert_eq!(names(root), ["file", "link"]);
+    }
+
+    #[test]
+    fn a_dash_is_stdout() {
+        let is_stdout = |path: &str| {
+            let place = OutputFile::check("--json", Path::new(path));
+            place.unwrap().is_stdout()
+        };
+        assert!(is_stdout("-"));
+        assert!(!is_stdout("./-"));
     }
 
     #[test]

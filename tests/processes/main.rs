@@ -13,13 +13,17 @@ mod drive;
 mod errors;
 mod fixture;
 mod injection;
+mod json;
 mod observers;
 mod parking;
 #[path = "../../topics/host/tests/stand_in/place.rs"]
 mod place;
+#[path = "../json/schema.rs"]
+mod schema;
 mod sealed;
 mod stalls;
 mod startup;
+mod terminal;
 mod time;
 mod trace;
 

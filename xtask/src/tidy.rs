@@ -44,8 +44,9 @@ cosim: board peripherals
 board-qemu: board board-udp cosim peripherals
 ";
 /// The top crates, which may depend on all others.
-const ON_TOP: [&str; 8] = [
+const ON_TOP: [&str; 9] = [
     "tandem",
+    "tandem-can",
     "tandem-foxglove",
     "tandem-fuzz",
     "tandem-lab",

@@ -5,6 +5,7 @@
 //! ([`life`](mod@life)), and the sweep of all points at which power can be lost ([`cuts`]).
 #![forbid(unsafe_code)]
 
+mod bus_pipe;
 mod bus_time;
 pub mod cuts;
 mod delta;
@@ -17,6 +18,7 @@ mod simulated_flash;
 mod transfer;
 pub mod udp_bus;
 
+pub use bus_pipe::{BusPipe, BusPipeListener};
 pub use bus_time::bits;
 pub use delta::delta;
 pub use file_sender::{ANSWER_WITHIN, CONNECT_EVERY, FileSender, ToDo};

@@ -89,26 +89,7 @@ impl UdpBus {
     /// # Errors
     /// An error of the operating system.
     pub fn send(&self, frame: &CanFrame) -> io::Result<()> {
-        let (arbitration_id, is_extended_id) = match frame.id() {
-            CanId::Standard(id) => (u32::from(id), false),
-            CanId::Extended(id) => (id, true),
-        };
-        let now = SystemTime::now().duration_since(UNIX_EPOCH);
-        let message = Sent {
-            timestamp: now.unwrap_or_default().as_secs_f64(),
-            arbitration_id,
-            is_extended_id,
-            is_remote_frame: false,
-            is_error_frame: false,
-            channel: None,
-            dlc: frame.data().len() as u8,
-            data: serde_bytes::Bytes::new(frame.data()),
-            is_fd: frame.is_fd(),
-            bitrate_switch: false,
-            error_state_indicator: false,
-        };
-        let bytes = rmp_serde::to_vec_named(&message).map_err(io::Error::other)?;
-        self.sender.send(&bytes).map(drop)
+        self.sender.send(&encode(frame)?).map(drop)
     }
 
     /// Waits for the next data frame of another end; returns `None` after the time `within`. Skips
@@ -179,7 +160,30 @@ impl UdpBus {
     }
 }
 
-fn decode(bytes: &[u8]) -> Option<CanFrame> {
+pub(crate) fn encode(frame: &CanFrame) -> io::Result<Vec<u8>> {
+    let (arbitration_id, is_extended_id) = match frame.id() {
+        CanId::Standard(id) => (u32::from(id), false),
+        CanId::Extended(id) => (id, true),
+    };
+    let now = SystemTime::now().duration_since(UNIX_EPOCH);
+    let message = Sent {
+        timestamp: now.unwrap_or_default().as_secs_f64(),
+        arbitration_id,
+        is_extended_id,
+        is_remote_frame: false,
+        is_error_frame: false,
+        channel: None,
+        dlc: frame.data().len() as u8,
+        data: serde_bytes::Bytes::new(frame.data()),
+        is_fd: frame.is_fd(),
+        bitrate_switch: false,
+        error_state_indicator: false,
+    };
+    rmp_serde::to_vec_named(&message).map_err(io::Error::other)
+}
+
+/// Decodes a data frame; `None` if it is another one, or none.
+pub(crate) fn decode(bytes: &[u8]) -> Option<CanFrame> {
     let heard: Heard = rmp_serde::from_slice(bytes).ok()?;
     let id = if heard.is_extended_id {
         CanId::Extended(heard.arbitration_id)

@@ -7,7 +7,6 @@ mod channels;
 mod scene;
 mod sinks;
 
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,12 +15,13 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::{Context as _, anyhow};
 use clap::{Parser, Subcommand};
 use signal_hook::consts::{SIGINT, SIGTERM};
-use tandem::args::RunChoice;
+use tandem::args::FoxgloveArgs;
 use tandem::failure::Failure;
 use tandem::viewer::{self, Ready, ShownRun};
 use tandem_board_host::clock;
 use tandem_board_host::process_list;
 use tandem_observers::Observer;
+use tandem_page::command_line;
 
 use channels::Channels;
 use sinks::Sinks;
@@ -42,40 +42,12 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Show a run in Foxglove: as an MCAP file, or live
-    #[command(after_help = EXAMPLES)]
-    Foxglove(Arguments),
-}
-
-const EXAMPLES: &str = "\
-Examples:
-  tandem run --mcap run.mcap         records a run from its start
-  tandem run --foxglove              shows it live: open ws://localhost:8765 in Foxglove
-  tandem foxglove                    shows a run that drives already, until it ends, or Ctrl-C
-  tandem foxglove --mcap rest.mcap   records the rest of it
-
-In Foxglove, import the layout cli/foxglove/layout.json. docs/foxglove.md describes the channels.";
-
-#[derive(Debug, clap::Args)]
-struct Arguments {
-    /// The run
-    #[command(flatten)]
-    run: RunChoice,
-
-    /// Record to this file; an existing one must be an MCAP file
-    #[arg(long, value_name = "FILE")]
-    mcap: Option<PathBuf>,
-
-    /// Show live at this port of this machine; 0 chooses one [default: 8765 without --mcap]
-    #[arg(long, value_name = "PORT")]
-    port: Option<u16>,
-
-    /// `tandem run` names the run on stdin, and ends this program by closing it
-    #[arg(long, hide = true)]
-    beside: bool,
+    Foxglove(FoxgloveArgs),
 }
 
 fn main() -> ExitCode {
-    let Command::Foxglove(args) = Cli::parse().command;
+    let Cli { command } = command_line::parse(std::env::args_os());
+    let Command::Foxglove(args) = command;
     match run(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
@@ -85,7 +57,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(args: &Arguments) -> Result<(), Failure> {
+fn run(args: &FoxgloveArgs) -> Result<(), Failure> {
     if args.beside {
         return beside(args).map_err(Failure::Run);
     }
@@ -125,7 +97,7 @@ fn run(args: &Arguments) -> Result<(), Failure> {
 }
 
 /// Shows the run that `tandem run` names, until it closes stdin.
-fn beside(args: &Arguments) -> anyhow::Result<()> {
+fn beside(args: &FoxgloveArgs) -> anyhow::Result<()> {
     // Ctrl-C ends the run, and the run ends this program.
     let context = foxglove::Context::new();
     let mut channels = Channels::new(&context);

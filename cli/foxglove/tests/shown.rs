@@ -288,3 +288,14 @@ fn is_idle(programs: &Programs) -> bool {
         .unwrap()
         .is_empty()
 }
+
+#[test]
+fn the_help_has_the_exit_statuses() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem-foxglove"));
+    let output = command.args(["foxglove", "--help"]).output().unwrap();
+    let help = String::from_utf8_lossy(&output.stdout);
+    assert!(
+        help.contains(tandem_page::command_line::EXIT_STATUS),
+        "{help}"
+    );
+}

@@ -7,12 +7,12 @@ use std::alloc::System;
 use tandem_rtos::host::TaskAllocator;
 
 pub mod boot;
-pub mod can_udp;
 pub mod control_core;
 pub mod core_process;
 pub mod files;
 mod forging;
 pub mod live;
+pub mod open_bus;
 pub mod recorder;
 pub mod run_config;
 pub mod three_frames;

@@ -14,8 +14,8 @@ use tandem_record::verdict::Limits;
 use tandem_redundancy::Budget;
 
 use crate::boot::ProgramFlashes;
-use crate::can_udp::CanGroup;
 use crate::files::RunFiles;
+use crate::open_bus::OpenBusPlace;
 
 /// The profile of the cores' time limits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -68,7 +68,7 @@ pub struct RunConfig {
     /// The update that each system receives while the other system drives.
     pub update: Option<UpdateFiles>,
     /// Where other programs are on the bus, if they may.
-    pub can: Option<CanGroup>,
+    pub can: Option<OpenBusPlace>,
     /// For `tandem boot-demo`: the file with the records to send, and the file for the result.
     pub demo: Option<[PathBuf; 2]>,
     /// The CPU of each core, in the order A0, A1, … B2; empty if the cores are not processes.
@@ -222,7 +222,7 @@ mod tests {
                 release: 2,
                 tester: "/tmp/tester.der".into(),
             }),
-            can: Some(CanGroup {
+            can: Some(OpenBusPlace::Udp {
                 group: std::net::Ipv4Addr::LOCALHOST,
                 port: 7,
             }),

@@ -10,10 +10,10 @@ use tandem_record::Entry;
 use tandem_record::log::{Header, RoadPiece, Sample, VehicleRecord};
 use tandem_vehicle::{Habit, LoggedFrame, Scenario, World, WorldConfig, WorldSnapshot};
 
-use crate::can_udp::{self, CanUdp};
 use crate::files::RunFiles;
 use crate::forging::Forging;
 use crate::live::Live;
+use crate::open_bus::{FRAMES_PER_MS, OpenBus};
 use crate::recorder::Recorder;
 use crate::run_config::RunConfig;
 use crate::update::Update;
@@ -78,7 +78,7 @@ struct Drive<'p, P> {
     world: World,
     update: Option<Update>,
     /// Other programs on the bus.
-    outside: Option<CanUdp>,
+    outside: Option<OpenBus>,
     forging: Forging,
     port: &'p mut P,
     recorder: Recorder,
@@ -128,7 +128,7 @@ where
         Ok(Self {
             world,
             update,
-            outside: run.can.map(CanUdp::join).transpose()?,
+            outside: run.can.as_ref().map(OpenBus::join).transpose()?,
             forging: Forging::default(),
             port,
             recorder,
@@ -271,8 +271,8 @@ where
 
     /// Sends what other programs want to send.
     fn let_in(&mut self) {
-        for _ in 0..can_udp::FRAMES_PER_MS {
-            let Some(frame) = self.outside.as_ref().and_then(CanUdp::hear) else {
+        for _ in 0..FRAMES_PER_MS {
+            let Some(frame) = self.outside.as_ref().and_then(OpenBus::hear) else {
                 break;
             };
             if let Some(update) = &mut self.update {

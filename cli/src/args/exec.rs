@@ -41,9 +41,7 @@ Examples:
   tandem exec sign platform.toml --key key.der      then run it with --anchor anchor.toml
 
 docs/execution.md describes every key, and what happens when a process or the launcher fails.
-
-Exit status: 0 success; 1 the safe state or the unrecoverable state was entered, and all is cleaned
-up; 2 the manifest is wrong or not trusted, and nothing was started; 130 ended by Ctrl-C.";
+It fails with 1 if the safe state or the unrecoverable state was entered; then all is cleaned up.";
 
 /// Arguments of `tandem exec`.
 #[derive(Debug, Args)]

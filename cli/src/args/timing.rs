@@ -4,6 +4,7 @@ use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use tandem_page::output::STDOUT;
 
 use super::parse_duration;
 
@@ -27,8 +28,8 @@ pub struct TimeArgs {
     #[arg(long, value_enum, default_value_t = TimeBoard::Host)]
     pub board: TimeBoard,
 
-    /// Also write the figures to this file
-    #[arg(long, value_name = "FILE")]
+    /// Also write the figures to this file [without FILE: to stdout, and nothing else there]
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
     pub json: Option<PathBuf>,
 
     /// How long to show the run [default: until it ends, or Ctrl-C]

@@ -445,7 +445,7 @@ fn the_topics_are_on_the_page_of_a_run_with_an_soc() {
         };
         let around = Surroundings::default().with_soc(Some(end));
         let metrics = metrics::compute(&log, &Timeline::default(), &around);
-        let table = crate::summary::table(&metrics, Path::new("report.html"));
+        let table = crate::summary::table(&metrics, &[], Path::new("report.html"));
         (page(&log, &Timeline::default(), &metrics), table)
     };
     let (with, table) = shown(&record);

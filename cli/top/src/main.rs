@@ -11,6 +11,7 @@ use std::time::Duration;
 use anyhow::{Context as _, anyhow};
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use tandem_observers::Observer;
+use tandem_page::command_line;
 
 use clap::{Parser, Subcommand};
 use tandem::args::RunChoice;
@@ -39,7 +40,8 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let Command::Top(choice) = Cli::parse().command;
+    let Cli { command } = command_line::parse(std::env::args_os());
+    let Command::Top(choice) = command;
     match run(&choice) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {

@@ -20,10 +20,11 @@ use anyhow::Context as _;
 use clap::{Parser, Subcommand};
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
-use tandem::args::RunChoice;
+use tandem::args::WebArgs;
 use tandem::failure::Failure;
 use tandem::viewer::{self, Ready, ShownRun};
 use tandem_observers::Observer;
+use tandem_page::command_line;
 use tandem_watch::Hands;
 
 use history::History;
@@ -36,17 +37,6 @@ const REFRESH: Duration = Duration::from_millis(100);
 const FAREWELL: Duration = Duration::from_millis(500);
 /// Exit status after Ctrl-C.
 const INTERRUPTED: u8 = 130;
-
-const EXAMPLES: &str = "\
-The page shows roles, lane, gaps and events. Its buttons do what the keys of `tandem top` do; they
-need the token, which the printed address contains after the `#`. Other programs may use the same
-server: GET /state is the state as JSON, GET /events a stream of it (server-sent events), and
-
-  curl -H 'Authorization: Bearer TOKEN' -H 'Content-Type: application/json' \\
-       -d '{\"hand\": \"kill-supply\", \"system\": \"master\"}' http://127.0.0.1:PORT/hands
-
-Exit status: 0 the run has ended; 1 the server failed; 2 no run publishes, or the port is in use;
-130 ended by Ctrl-C.";
 
 /// The part of `tandem` that this program implements.
 #[derive(Debug, Parser)]
@@ -62,31 +52,6 @@ enum Command {
     Web(WebArgs),
 }
 
-/// Arguments of `tandem web`.
-#[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
-struct WebArgs {
-    /// Port on 127.0.0.1 [default: a free one]
-    #[arg(
-        long,
-        value_name = "PORT",
-        default_value_t = 0,
-        hide_default_value = true
-    )]
-    port: u16,
-
-    /// `tandem run` names the run on stdin, and ends this program by closing it
-    #[arg(long, hide = true)]
-    beside: bool,
-
-    /// Print the address and the token as JSON, in one line
-    #[arg(long)]
-    json: bool,
-
-    #[command(flatten)]
-    run: RunChoice,
-}
-
 /// What `--json` prints.
 #[derive(Serialize)]
 struct Start<'a> {
@@ -96,7 +61,8 @@ struct Start<'a> {
 }
 
 fn main() -> ExitCode {
-    let Command::Web(args) = Cli::parse().command;
+    let Cli { command } = command_line::parse(std::env::args_os());
+    let Command::Web(args) = command;
     match run(&args) {
         Ok(code) => code,
         Err(failure) => {

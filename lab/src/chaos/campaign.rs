@@ -36,7 +36,9 @@ pub(super) fn run(source: &Source, numbers: &[u64], args: &ChaosArgs) -> Result<
             .context("listening to signals")?;
     }
     let found = inject(source, numbers, args, &interrupted)?;
-    print(&report::text(source, &found))?;
+    if !place.as_ref().is_some_and(OutputFile::is_stdout) {
+        print(&report::text(source, &found))?;
+    }
     if let Some(place) = place {
         let figures = report::json(source, &found);
         place.write(&format!("{figures:#}\n"))?;

@@ -33,7 +33,9 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     let folder = folder.map(|folder| OutputFolder::check("--solutions", folder));
     let solutions_to = folder.transpose().map_err(Failure::usage)?;
     let judged = all(args, &files)?;
-    tandem::print(&table(&judged))?;
+    if !json_to.as_ref().is_some_and(OutputFile::is_stdout) {
+        tandem::print(&table(&judged))?;
+    }
     if let Some(place) = json_to {
         place.write(&(serde_json::to_string_pretty(&judged)? + "\n"))?;
     }

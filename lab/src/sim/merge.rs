@@ -89,7 +89,9 @@ pub(super) fn run(files: &[PathBuf], place: Option<OutputFile>) -> Result<(), Fa
     for group in groups.values() {
         covered.add(&Coverage::of_json(&group["covered"]).unwrap_or_default());
     }
-    print(&format!("{}{totals}\n", covered.text(false)))?;
+    if !place.as_ref().is_some_and(OutputFile::is_stdout) {
+        print(&format!("{}{totals}\n", covered.text(false)))?;
+    }
     if let Some(place) = place {
         place.write(&format!("{:#}\n", totals.json(groups, &ranges)))?;
     }

@@ -16,7 +16,7 @@ use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rustix::time::{ClockId, clock_gettime};
 use tandem_faults::{Group, Sequence, Site, known};
-use tandem_page::output::OutputFile;
+use tandem_page::output::{OutputFile, STDOUT};
 use tandem_redundancy::Config;
 use tandem_sim::timing::Time;
 use tandem_sim::{Around, Profile};
@@ -94,7 +94,9 @@ pub(crate) struct SimArgs {
     out: Option<PathBuf>,
 
     /// Write {seeds, violations, simulated_s, wall_s, ratio, cpu_s, digest, groups} to this file
-    #[arg(long, value_name = "FILE")]
+    /// [without FILE: to stdout, instead of the report]
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT,
+          conflicts_with = "only")]
     json: Option<PathBuf>,
 
     /// Run these sequences and exit; internal, started by the campaign
@@ -115,10 +117,7 @@ everything works again: gap, terms, role, flash; lane, distance and collisions.
   tandem sim --group swarm --closed-loop       all cores, and a vehicle behind another one
   tandem sim --group values --closed-loop      each wrong value of each core, 60 s each
   tandem sim --seeds 1000 --from 1000          the next thousand, as on another machine
-  tandem sim --merge a.json b.json             both thousands as one
-
-Exit status: 0 if no sequence violates what must be so, 1 if one does, 2 if an argument or a file is
-wrong.";
+  tandem sim --merge a.json b.json             both thousands as one";
 
 /// Returns the limits of the redundancy, by the names of their profiles.
 const fn timings() -> [(&'static str, Config); 3] {
@@ -252,6 +251,8 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
     if !arguments.merge.is_empty() {
         return merge::run(&arguments.merge, place);
     }
+    let is_quiet = place.as_ref().is_some_and(OutputFile::is_stdout);
+    let say = |text: &str| if is_quiet { Ok(()) } else { print(text) };
     let begin = Instant::now();
     let mut cpu_s = 0.0;
     let mut all = Summary::default();
@@ -260,7 +261,7 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
         let (outcomes, cpu) = campaign(source, arguments)?;
         cpu_s += cpu.as_secs_f64();
         let (text, summary) = report::of(source, &outcomes, arguments)?;
-        print(&text)?;
+        say(&text)?;
         groups.insert(source.name(), summary.json());
         all.add(&summary);
     }
@@ -276,7 +277,7 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
         cpu_s,
         digest: all.digest,
     };
-    print(&format!(
+    say(&format!(
         "{}{totals}\n",
         all.covered.text(arguments.coverage)
     ))?;

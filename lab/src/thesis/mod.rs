@@ -122,6 +122,7 @@ pub(crate) fn run(args: &ThesisArgs) -> Result<(), Failure> {
         place.write(svg)?;
         let _ = writeln!(text, "\npicture of the outputs: {}", path.display());
     }
+    let is_quiet = json_to.as_ref().is_some_and(OutputFile::is_stdout);
     if let Some(place) = json_to {
         let json = Json {
             board: args.board,
@@ -130,7 +131,9 @@ pub(crate) fn run(args: &ThesisArgs) -> Result<(), Failure> {
         let json = serde_json::to_string_pretty(&json)?;
         place.write(&(json + "\n"))?;
     }
-    tandem::print(&text)?;
+    if !is_quiet {
+        tandem::print(&text)?;
+    }
     let beyond = shown.rows.iter().filter(|row| !row.ok);
     let beyond: Vec<_> = beyond
         .map(|row| format!("{} is {:.3} {}", row.name, row.here, row.unit))
