@@ -282,6 +282,12 @@ macro_rules! value_tables {
         impl $name {
             /// Every value, in the order of the DBC.
             pub const ALL: [Self; $count] = [Self::$first $(, Self::$value)*];
+
+            /// Returns the value that is coded as `raw`; `None` if there is none.
+            #[must_use]
+            pub fn from_raw(raw: u8) -> Option<Self> {
+                Self::ALL.into_iter().find(|value| *value as u8 == raw)
+            }
         }
 
         impl $crate::signal::ValueTable for $name {
