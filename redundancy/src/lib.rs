@@ -35,6 +35,9 @@ mod timing_profile;
 mod transition;
 mod witness;
 
+/// The crate whose times, lines and ids this one's interface uses.
+pub use tandem_board;
+
 pub use ability::Ability;
 pub use action::{Action, Actions, ClockOwner, RedundancyEvent, Takeover};
 pub use config::Config;
