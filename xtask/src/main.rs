@@ -10,6 +10,7 @@ mod instructions;
 mod licences;
 mod mutants;
 mod names;
+mod outside;
 mod package;
 mod requirements;
 mod rooms;
@@ -67,6 +68,9 @@ enum Task {
     Licences,
     /// Pack the crates that others may depend on, and build each from its package
     Package,
+    /// Build and run a project outside the tree that has only the packages: two cores of RISC-V
+    /// and a Cortex-M4 under QEMU
+    Outside,
     /// Check the house rules: permitted dependencies, file heads and sizes, unsafe code only where
     /// allowed, shared names, the lines of each room
     Tidy {
@@ -356,6 +360,7 @@ fn execute() -> Result<()> {
     match Arguments::parse().task {
         Task::Test => test_runner::test(root),
         Task::Licences => licences::run(root),
+        Task::Outside => outside::run(root),
         Task::Package => package::run(root),
         Task::Tidy { save } => tidy::run(root, save),
         Task::Requirements { require } => requirements::run(root, &require),
