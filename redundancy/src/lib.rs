@@ -11,6 +11,12 @@
 //! 2. take a [`LineSnapshot`] of the lines and pass it as [`Input::Poll`];
 //! 3. carry out each [`Action`]; call again no later than [`Actions::deadline`];
 //! 4. call [`Redundancy::may_transmit`] right before each control frame.
+//!
+//! # Example
+//!
+//! ```
+#![doc = include_str!("../examples/failover.rs")]
+//! ```
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -17,6 +17,12 @@
 //! - **Task**: from one task of the core at a time, never from a handler. It may block.
 //!
 //! `tandem-board-conformance` tests the contracts written here.
+//!
+//! # Example
+//!
+//! ```
+#![doc = include_str!("../examples/can_controller.rs")]
+//! ```
 #![no_std]
 #![forbid(unsafe_code)]
 
