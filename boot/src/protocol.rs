@@ -46,6 +46,7 @@ pub(crate) const PROOF_PARTS: usize = PROOF_BYTES.div_ceil(PROOF_PIECE);
 /// Why a download was refused. Nothing that boots has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u32)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Refusal {
     /// An address outside the flash, or in a sector that no image owns.
     Address = 1,
@@ -121,6 +122,7 @@ impl core::error::Error for Refusal {}
 /// How far a system is with the release that it runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, FromRepr, VariantArray)]
 #[repr(u8)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ReleaseStage {
     /// On trial.
     Trial,
@@ -134,6 +136,7 @@ pub enum ReleaseStage {
 
 /// An answer of the bootloader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Answer {
     /// The connection is established.
     Connected,

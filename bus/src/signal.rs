@@ -42,6 +42,7 @@ impl FrameInfo {
 
 /// Why a frame could not be decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum FrameError {
     /// The DBC has no frame with this id.
     UnknownId,
@@ -272,6 +273,7 @@ macro_rules! value_tables {
     })+) => {$(
         $(#[$doc])*
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         pub enum $name {
             #[doc = concat!("Coded as ", $first_raw, ".")]
             #[default]

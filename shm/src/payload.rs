@@ -4,6 +4,7 @@ use crate::sync::{AtomicU32, Ordering};
 
 /// A word has a value that its writer cannot have written, so the whole value is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Corrupt;
 
 impl core::fmt::Display for Corrupt {
