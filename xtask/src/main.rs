@@ -68,8 +68,8 @@ enum Task {
     Licences,
     /// Pack the crates that others may depend on, and build each from its package
     Package,
-    /// Build and run a project outside the tree that has only the packages: two cores of RISC-V
-    /// and a Cortex-M4 under QEMU
+    /// Build, run and test projects outside the tree that have only the packages: on two cores of
+    /// RISC-V and on a Cortex-M4 under QEMU, and with the features for a HAL
     Outside,
     /// Check the house rules: permitted dependencies, file heads and sizes, unsafe code only where
     /// allowed, shared names, the lines of each room

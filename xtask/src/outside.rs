@@ -1,15 +1,15 @@
-//! `cargo xtask outside`: a project of a user, in a folder of its own, that has the packages of
+//! `cargo xtask outside`: projects of a user, in a folder of their own, that have the packages of
 //! `cargo xtask package` and nothing else of this tree.
 
 use crate::package::{PACKED, pack};
 use anyhow::{Context as _, Result, ensure};
 use std::fs;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
-/// The template of the project.
-const TEMPLATE: &str = "tests/outside";
-/// What the project names, and what these name: a registry would have all of them.
+/// The templates of the projects.
+const TEMPLATES: &str = "tests/outside";
+/// What the projects name, and what these name: a registry would have all of them.
 const USED: [&str; 4] = [
     "tandem-board",
     "tandem-bus",
@@ -28,7 +28,7 @@ const LOG: [&str; 6] = [
     "PASS",
 ];
 
-/// A machine of QEMU that runs the project.
+/// A machine of QEMU that runs a project.
 struct Machine {
     target: &'static str,
     emulator: &'static str,
@@ -48,38 +48,67 @@ const MACHINES: [Machine; 2] = [
     },
 ];
 
-/// Makes the project from the packages, builds it for both targets, and runs it. Fails unless each
-/// log shows that system B took over.
+/// Makes both projects from the packages. Builds `two-cores` for each machine and runs it there;
+/// tests `hal` on the host, and builds it for the machine that defmt is for. Fails unless each log
+/// shows that system B took over.
 pub(crate) fn run(root: &Path) -> Result<()> {
     pack(root, &USED, false)?;
-    let project = tempfile::Builder::new().prefix("outside-").tempdir()?;
-    let project = project.path();
-    copy(&root.join(TEMPLATE), project)?;
-    unpack(&root.join(PACKED), project)?;
+    let folder = tempfile::Builder::new().prefix("outside-").tempdir()?;
+    let folder = folder.path();
+    let projects = ["two-cores", "hal"].map(|name| folder.join(name));
+    for project in &projects {
+        let name = project.file_name().unwrap_or_default();
+        copy(&root.join(TEMPLATES).join(name), project)?;
+        unpack(&root.join(PACKED), project)?;
+    }
+    let [two_cores, hal] = &projects;
     for machine in &MACHINES {
         crate::toolchain::demand(machine.target)?;
-        let arguments = ["build", "--quiet", "--locked", "--release", "--target"];
-        let mut build = crate::cargo(project, &arguments);
-        build.arg(machine.target);
-        // Cargo would take them from this task, or from the gate.
-        for variable in ["CARGO_TARGET_DIR", "RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS"] {
-            build.env_remove(variable);
-        }
-        ensure!(
-            build.status()?.success(),
-            "it does not build for {}",
-            machine.target
-        );
-        let built = project.join("target").join(machine.target);
-        let log = drive(machine, &built.join("release/outside"))?;
+        let build = ["build", "--release", "--target", machine.target];
+        cargo_in(two_cores, folder, &build)?;
+        let program = folder.join("target").join(machine.target);
+        let log = drive(machine, &program.join("release/outside"))?;
         println!("{}:\n{log}", machine.target);
         read_log(&log)?;
     }
+    let results = cargo_in(hal, folder, &["test", "--release"])?;
+    let passed: u32 = results.lines().filter_map(passed_in).sum();
+    ensure!(passed > 0, "no test of the features for a HAL ran");
+    cargo_in(
+        hal,
+        folder,
+        &["build", "--release", "--target", MACHINES[1].target],
+    )?;
     println!(
-        "{} machines ran the project from the packages",
+        "{} machines ran the packages; {passed} tests of their features for a HAL passed",
         MACHINES.len()
     );
     Ok(())
+}
+
+/// Returns the number of tests that passed, of a result of cargo test.
+fn passed_in(line: &str) -> Option<u32> {
+    let rest = line.strip_prefix("test result: ok. ")?;
+    rest.split_once(" passed")?.0.parse().ok()
+}
+
+/// Runs cargo in a project, as a user would. Returns what it printed.
+fn cargo_in(project: &Path, folder: &Path, arguments: &[&str]) -> Result<String> {
+    let mut cargo = crate::cargo(project, arguments);
+    cargo.args(["--quiet", "--locked", "--target-dir"]);
+    cargo.arg(folder.join("target"));
+    // This task, or the gate, has them for the tree.
+    for variable in ["CARGO_TARGET_DIR", "RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS"] {
+        cargo.env_remove(variable);
+    }
+    let output = cargo.stderr(Stdio::inherit()).output().context("cargo")?;
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+    ensure!(
+        output.status.success(),
+        "{cargo:?}: {}\n{printed}",
+        output.status
+    );
+    Ok(printed)
 }
 
 /// Runs the program until it ends the machine, and returns its log. Fails unless the program ends
@@ -164,5 +193,12 @@ mod tests {
         }
         read_log(&good.replace(" 0 refused", " 10 refused")).unwrap_err();
         read_log("").unwrap_err();
+    }
+
+    #[test]
+    fn tests_that_passed_are_counted() {
+        let result = "test result: ok. 4 passed; 0 failed; 0 ignored; 0 measured; 0 filtered out";
+        assert_eq!(passed_in(result), Some(4));
+        assert_eq!(passed_in("running 4 tests"), None);
     }
 }
