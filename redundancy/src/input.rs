@@ -39,7 +39,8 @@ impl LineSnapshot {
     }
 }
 
-/// A control frame that passed its end-to-end protection.
+/// A control frame that passed its end-to-end protection. On the bus, role and mode are their
+/// numbers (`Role::from_repr`, `Mode::from_repr`), the term is [`Term::bits`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ControlHeader {

@@ -4,7 +4,8 @@ use crate::state::CRC;
 use crate::{Ability, Mode, Role, Term};
 
 /// A system's report about itself. The same content is sent over the data link in a
-/// [`LinkReport`] and, without `can_alive`, in the status frame on CAN.
+/// [`LinkReport`] and, without `can_alive`, in the status frame on CAN: there, role and mode are
+/// their numbers, the ability is [`Ability::bits`], and the frame's arrival shows `can_alive`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct PeerReport {
