@@ -40,7 +40,8 @@ impl WebPage {
             // Ctrl-C in the terminal must not reach the page, because the run ends it.
             .process_group(0);
         let started = command.spawn();
-        let mut process = started.map_err(|error| Failure::Usage(missing(Program::Web, &path, &error)))?;
+        let mut process =
+            started.map_err(|error| Failure::Usage(missing(Program::Web, &path, &error)))?;
         let said = process.stdout.take();
         let mut said = BufReader::new(said.ok_or_else(|| anyhow!("the page has no stdout"))?);
         let mut line = String::new();

@@ -77,6 +77,13 @@ pub(crate) fn pack(root: &Path, names: &[&str], verify: bool) -> Result<()> {
     Ok(())
 }
 
+/// Returns the names of the crates that others may depend on.
+pub(crate) fn names(root: &Path) -> Result<Vec<String>> {
+    let ours = for_others(root)?;
+    let names = ours.iter().filter_map(|it| it["name"].as_str());
+    Ok(names.map(str::to_owned).collect())
+}
+
 /// Packs every crate whose manifest permits to publish it, and builds each from its package, with
 /// the others' packages. Publishes nothing.
 pub(crate) fn run(root: &Path) -> Result<()> {
@@ -91,6 +98,10 @@ pub(crate) fn run(root: &Path) -> Result<()> {
             .find(|key| package[**key] == Value::Array(vec![]));
         let lacks = missing.or(empty);
         ensure!(lacks.is_none(), "{name}: its Cargo.toml lacks {lacks:?}");
+        // The first look of a reader; that of capi is in C.
+        let manifest = package["manifest_path"].as_str().context("no path")?;
+        let examples = Path::new(manifest).with_file_name("examples");
+        ensure!(examples.is_dir(), "{name}: no example");
     }
     pack(root, &names, true)?;
     println!(
