@@ -14,8 +14,8 @@ const HEAD: &str = "\
 
 Tests are the folders `tests/` and `examples/`, the files `tests.rs`, and what follows a
 `#[cfg(test)]` module. `cargo xtask tidy` fails if a room has more product lines than this table:
-growth is a decision that a commit's body argues for. A limit holds for product lines, or `with tests` for both; `--save` does
-not lift it.
+growth is a decision that a commit's body argues for. A limit holds for product lines, or `with
+tests` for both; `--save` does not lift it.
 
 | room | product | tests | limit |
 |---|---:|---:|---|
