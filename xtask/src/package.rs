@@ -20,7 +20,15 @@ fn build_with_oldest(root: &Path, metadata: &[Value], names: &[&str]) -> Result<
     }
     let mut command = Command::new("rustup");
     command
-        .args(["run", &toolchain, "cargo", "check", "--quiet", "--locked"])
+        .args([
+            "run",
+            &toolchain,
+            "cargo",
+            "check",
+            "--quiet",
+            "--locked",
+            "--all-features",
+        ])
         .current_dir(root);
     command
         .env_remove("RUSTC")
