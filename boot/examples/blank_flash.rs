@@ -8,7 +8,7 @@ use embedded_storage::nor_flash::{
     check_write,
 };
 use tandem_board::tester_desk::CONNECT;
-use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
+use tandem_board::{CanFrame, Instant, InvalidFrame, ResetCause, SystemId};
 use tandem_boot::{
     Answer, Bank, CONNECT_WINDOW, FLASH_BYTES, Loader, Next, PAGE_BYTES, SMALLEST_SECTOR, Setup,
     TO_LOADER, Trust, TrustMode, ed25519,
@@ -66,7 +66,7 @@ impl NorFlash for Flash {
     }
 }
 
-fn main() {
+fn main() -> Result<(), InvalidFrame> {
     let setup = Setup {
         trust: Trust {
             keys: &[],
@@ -94,11 +94,12 @@ fn main() {
 
     let mut request = [0; 8];
     request[..4].copy_from_slice(&CONNECT.to_le_bytes());
-    let frame = CanFrame::new(TO_LOADER, false, &request).expect("eight bytes");
+    let frame = CanFrame::new(TO_LOADER, false, &request)?;
     loader.on_frame(now, &frame);
     let Next::Send(answer) = loader.next(now) else {
         panic!("no answer");
     };
     println!("a host connects: {:?}", Answer::decode(answer.data()));
     assert_eq!(Answer::decode(answer.data()), Some(Answer::Connected));
+    Ok(())
 }

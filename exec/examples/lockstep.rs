@@ -2,6 +2,7 @@
 //! `cargo run -p tandem-exec --example lockstep`
 #![allow(clippy::print_stdout, reason = "its output is its purpose")]
 
+use std::error::Error;
 use tandem_board::{Duration, Instant};
 use tandem_exec::client::{Client, Standing};
 use tandem_exec::lockstep::OutputDigest;
@@ -10,7 +11,7 @@ use tandem_exec::message::ClientId;
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
 
-fn main() {
+fn main() -> Result<(), Box<dyn Error>> {
     let config = Config {
         clients: 3,
         quorum: 2,
@@ -22,7 +23,7 @@ fn main() {
         takeover: MS(5),
     };
     let ids: Vec<ClientId> = ClientId::first(3).collect();
-    let mut master = MasterCore::new(config, ids[0]).expect("the configuration is valid");
+    let mut master = MasterCore::new(config, ids[0]).ok_or("the configuration is not valid")?;
     let mut clients: Vec<Client> = ids.iter().map(|id| Client::new(*id, 1)).collect();
     let (mut now, mut excluded) = (Instant::ORIGIN, None);
     while excluded.is_none() && now < Instant::ORIGIN + MS(200) {
@@ -48,10 +49,11 @@ fn main() {
         if let Some(response) = master.poll(now).propose {
             master.on_decided(&response, &mut |event| println!("{event:?}"));
             for client in &mut clients {
-                client.on_response(now, &response).expect("it is new");
+                client.on_response(now, &response)?;
             }
         }
         now += MS(1);
     }
     assert_eq!(excluded, Some(2));
+    Ok(())
 }

@@ -31,7 +31,9 @@ fn main() {
         }
     }
     let local = slave_clock(20_000_000_000);
-    let conversion = base.conversion().expect("the samples agree");
+    let Some(conversion) = base.conversion() else {
+        panic!("the samples do not agree");
+    };
     let reading = conversion.reading(local);
     let off_ns = reading.time.after(GlobalTime::from_ns(20_000_000_000));
     println!("off by {off_ns} ns, said to be within {:?}", reading.error);
