@@ -21,6 +21,8 @@ pub(crate) fn run(root: &Path, baseline: Option<String>) -> Result<()> {
     }
     let mut command = crate::cargo(root, &["semver-checks", "--baseline-rev", &baseline]);
     command.env_remove("RUSTC").env_remove("RUSTDOC");
+    // Of its own, as for `package`.
+    command.env("CARGO_TARGET_DIR", root.join("target/packages"));
     for name in crate::package::names(root)? {
         command.args(["-p", &name]);
     }
