@@ -9,6 +9,7 @@ use sha2::{Digest, Sha256};
 
 /// An operation of the flash failed, or programmed data did not read back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FlashFault;
 
 impl core::fmt::Display for FlashFault {

@@ -7,6 +7,12 @@
 //!
 //! `docs/boot.md` describes the protocol, the storage map, the states, and the effect of each loss
 //! of power.
+//!
+//! # Example
+//!
+//! ```
+#![doc = include_str!("../examples/blank_flash.rs")]
+//! ```
 #![no_std]
 #![forbid(unsafe_code)]
 

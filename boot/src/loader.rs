@@ -87,6 +87,7 @@ const fn after(now: Instant, span: Duration) -> Instant {
 
 /// The application to start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Launch {
     /// The application's slot.
     pub application: Slot,
@@ -101,6 +102,7 @@ pub struct Launch {
 /// The next action of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Next {
     /// Pass on each received frame, and call again at this time or earlier.
     Wait(Instant),

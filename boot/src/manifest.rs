@@ -88,6 +88,7 @@ pub struct Manifest {
 
 /// Why bytes are not a manifest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ManifestError {
     /// The magic number is wrong.
     Magic,

@@ -55,6 +55,7 @@ pub const fn offset_of(address: u32) -> Option<u32> {
 /// One of two equivalent places for an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr)]
 #[repr(u8)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Slot {
     /// The first.
     A,
@@ -78,6 +79,7 @@ impl Slot {
 
 /// A place from which a bootloader runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Bank {
     /// S0 and S1. The boot ROM starts it if it is sealed and intact.
     Primary,
@@ -88,6 +90,7 @@ pub enum Bank {
 /// The kind of an image. Each kind has its own places and its own update procedure. U-5
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr)]
 #[repr(u8)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ImageKind {
     /// The program of the three cores.
     Application,

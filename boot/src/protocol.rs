@@ -46,6 +46,7 @@ pub(crate) const PROOF_PARTS: usize = PROOF_BYTES.div_ceil(PROOF_PIECE);
 /// Why a download was refused. Nothing that boots has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u32)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Refusal {
     /// An address outside the flash, or in a sector that no image owns.
     Address = 1,
@@ -89,9 +90,39 @@ pub enum Refusal {
     Needs,
 }
 
+impl core::fmt::Display for Refusal {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Address => "the address is in no sector of an image",
+            Self::Protected => "the address belongs to the bootloader, its environment or its log",
+            Self::SlotInUse => "the slot boots: download to the other one",
+            Self::NoManifest => "the data begin with no manifest: sign the file first",
+            Self::BadManifest => "the manifest is damaged, or does not fit this hardware or image",
+            Self::Untrusted => "no accepted key made the signature",
+            Self::Downgrade => "the version is older than an approved one",
+            Self::Gap => "data are missing before a record",
+            Self::Overlap => "a record overlaps the one before it",
+            Self::Order => "the address of a record is lower than that of an earlier one",
+            Self::Unannounced => "the manifest does not name these data",
+            Self::Count => "the count record differs from the number of data records",
+            Self::Incomplete => "the file ends before all data have arrived",
+            Self::Digest => "the digest of the written data is not that of the manifest",
+            Self::Entry => "the entry of the file is not that of the manifest",
+            Self::Record => "the data are no S-records",
+            Self::Flash => "an operation of the flash failed",
+            Self::AfterEnd => "a record follows the end of the file",
+            Self::Tester => "the tester has not proved that it has a key",
+            Self::Needs => "the application needs a newer bootloader or configuration",
+        })
+    }
+}
+
+impl core::error::Error for Refusal {}
+
 /// How far a system is with the release that it runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, FromRepr, VariantArray)]
 #[repr(u8)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ReleaseStage {
     /// On trial.
     Trial,
@@ -105,6 +136,7 @@ pub enum ReleaseStage {
 
 /// An answer of the bootloader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Answer {
     /// The connection is established.
     Connected,

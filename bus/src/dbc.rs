@@ -4,6 +4,7 @@ use crate::signal::{FrameError, FrameInfo, Signal, Walk, layouts, value_tables};
 
 /// A sensor that sends object lists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SensorId {
     /// Front long-range radar.
     RadarFront,

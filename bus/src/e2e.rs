@@ -40,6 +40,7 @@ fn checksum(id: u16, data: &[u8]) -> u16 {
 
 /// The result of [`Checker::check`] for a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Check {
     /// The CRC is right and this is the first frame: the counter cannot be judged yet.
     Initial,

@@ -38,6 +38,7 @@ impl Default for FrameTransmitter {
 
 /// Why a received frame must not be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ReceiveError {
     /// The end-to-end protection refuses the frame.
     Protection(Check),

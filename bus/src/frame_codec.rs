@@ -143,6 +143,7 @@ impl CameraLanes {
 
 /// A frame as it is on the bus: CAN FD with a standard id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Encoded {
     /// Standard CAN id.
     pub id: u16,

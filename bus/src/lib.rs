@@ -21,6 +21,8 @@ pub mod e2e;
 mod endpoint;
 mod frame_codec;
 mod freshness;
+#[cfg(feature = "embedded-can")]
+mod hal;
 mod sensor;
 mod signal;
 

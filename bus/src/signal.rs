@@ -42,6 +42,7 @@ impl FrameInfo {
 
 /// Why a frame could not be decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum FrameError {
     /// The DBC has no frame with this id.
     UnknownId,
@@ -272,6 +273,7 @@ macro_rules! value_tables {
     })+) => {$(
         $(#[$doc])*
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         pub enum $name {
             #[doc = concat!("Coded as ", $first_raw, ".")]
             #[default]
@@ -282,6 +284,12 @@ macro_rules! value_tables {
         impl $name {
             /// Every value, in the order of the DBC.
             pub const ALL: [Self; $count] = [Self::$first $(, Self::$value)*];
+
+            /// Returns the value that is coded as `raw`; `None` if there is none.
+            #[must_use]
+            pub fn from_raw(raw: u8) -> Option<Self> {
+                Self::ALL.into_iter().find(|value| *value as u8 == raw)
+            }
         }
 
         impl $crate::signal::ValueTable for $name {

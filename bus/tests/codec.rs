@@ -237,3 +237,17 @@ fn frames_of_time_have_the_layout_of_their_protocol() {
         assert_eq!(receiver.lost(), 0);
     }
 }
+
+/// A code is found by its number, and no other number is one.
+#[test]
+fn codes_are_found_by_their_numbers() {
+    use tandem_bus::{AbilityCode, ModeCode, RoleCode};
+    for raw in 0..=u8::MAX {
+        let role = RoleCode::from_raw(raw);
+        assert_eq!(role.map(|role| role as u8), (raw < 4).then_some(raw));
+        let mode = ModeCode::from_raw(raw);
+        assert_eq!(mode.map(|mode| mode as u8), (raw < 5).then_some(raw));
+    }
+    assert_eq!(RoleCode::from_raw(1), Some(RoleCode::Master));
+    assert_eq!(AbilityCode::from_raw(3), Some(AbilityCode::None));
+}

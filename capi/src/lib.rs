@@ -23,6 +23,12 @@
 //! 2. The LMU that a map was attached to stays mapped as long as any object attached through that
 //!    map is used.
 //! 3. One object is used by one context of one core at a time.
+//!
+//! # Example
+//!
+//! ```c
+#![doc = include_str!("../examples/two_cores.c")]
+//! ```
 #![no_std]
 #![allow(
     unsafe_op_in_unsafe_fn,

@@ -13,6 +13,12 @@
 //! 4. Each [`Client`](client::Client) wakes at that time. All get the same numbers from `random`.
 //!
 //! The numbers SWS_EM_013xx are those of AUTOSAR R21-11; R23-11 calls this part obsolete.
+//!
+//! # Example
+//!
+//! ```
+#![doc = include_str!("../examples/lockstep.rs")]
+//! ```
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 

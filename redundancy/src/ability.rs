@@ -16,6 +16,7 @@ const UNABLE_LIMIT: Duration = Duration::from_ms(500);
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, FromRepr, VariantArray, Hash,
 )]
 #[repr(u8)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Ability {
     /// Neither lanes nor the vehicle's motion: it could only brake.
     None = 0,

@@ -19,6 +19,7 @@ use tandem_board::{Duration, Edge, Instant, Line, ResetRequest};
 /// }
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Action {
     /// Send this edge to the other system.
     SendEdge(Line, Edge),
@@ -44,6 +45,7 @@ pub enum Action {
 
 /// Describes a takeover, for the trace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Takeover {
     /// The evidence that caused it.
     pub cause: Evidence,
@@ -59,6 +61,7 @@ pub struct Takeover {
 /// Whose clock is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ClockOwner {
     /// This system's clock: it differs from both others by about the same amount.
     Own = 0,
@@ -70,6 +73,7 @@ pub enum ClockOwner {
 
 /// An event for the trace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RedundancyEvent {
     /// The phase changed.
     Phase {

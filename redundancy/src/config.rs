@@ -14,6 +14,7 @@ const MAX_CHANGES: u8 = 6;
 /// [`Config::chip`], [`Config::rt`] and [`Config::desktop`] are the profiles; [`Config::check`]
 /// checks whether changed values fit together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Config {
     /// Time between two heartbeats on each line.
     pub heartbeat_period: Duration,

@@ -6,6 +6,7 @@ use tandem_board::{Duration, Edge, Instant, Line, SystemId};
 /// The state of the lines and the CAN receiver at one moment. Counts increase and wrap around; only
 /// their differences matter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct LineSnapshot {
     /// Rising edges on [`Line::Start`].
     pub handshakes: u32,
@@ -38,8 +39,10 @@ impl LineSnapshot {
     }
 }
 
-/// A control frame that passed its end-to-end protection.
+/// A control frame that passed its end-to-end protection. On the bus, role and mode are their
+/// numbers (`Role::from_repr`, `Mode::from_repr`), the term is [`Term::bits`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ControlHeader {
     /// The system that the frame names as its sender.
     pub system: SystemId,
@@ -53,6 +56,7 @@ pub struct ControlHeader {
 
 /// The vehicle's echo: which system it obeys.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ObeyedTerm {
     /// The term of the last control frame that the vehicle accepted; [`Term::NONE`] before the
     /// first. The vehicle refuses every lower one.
@@ -66,6 +70,7 @@ pub struct ObeyedTerm {
 
 /// One input of the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Input {
     /// The lines. Poll periodically, and at once if an edge or the level raises an interrupt.
     Poll(LineSnapshot),

@@ -11,6 +11,12 @@
 //! 2. take a [`LineSnapshot`] of the lines and pass it as [`Input::Poll`];
 //! 3. carry out each [`Action`]; call again no later than [`Actions::deadline`];
 //! 4. call [`Redundancy::may_transmit`] right before each control frame.
+//!
+//! # Example
+//!
+//! ```
+#![doc = include_str!("../examples/failover.rs")]
+//! ```
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -34,6 +40,9 @@ mod term;
 mod timing_profile;
 mod transition;
 mod witness;
+
+/// The crate whose times, lines and ids this one's interface uses.
+pub use tandem_board;
 
 pub use ability::Ability;
 pub use action::{Action, Actions, ClockOwner, RedundancyEvent, Takeover};

@@ -6,6 +6,7 @@ use tandem_board::RoleLamp;
 /// The role as encoded in control and status frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Role {
     /// Has no role yet.
     Starting = 0,
@@ -20,6 +21,7 @@ pub enum Role {
 /// The driving function that a system runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Mode {
     /// No driving function.
     None = 0,
@@ -34,6 +36,7 @@ pub enum Mode {
 /// The state of the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Phase {
     /// Start protocol, or listening for a running master. Output closed, no heartbeats.
     Starting = 0,
@@ -99,6 +102,7 @@ impl Phase {
 /// The evidence of a poll. The order is that of the table in the docs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Evidence {
     /// A sync edge arrived: the other system leads.
     SyncHeard = 0,

@@ -4,8 +4,10 @@ use crate::state::CRC;
 use crate::{Ability, Mode, Role, Term};
 
 /// A system's report about itself. The same content is sent over the data link in a
-/// [`LinkReport`] and, without `can_alive`, in the status frame on CAN.
+/// [`LinkReport`] and, without `can_alive`, in the status frame on CAN: there, role and mode are
+/// their numbers, the ability is [`Ability::bits`], and the frame's arrival shows `can_alive`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct PeerReport {
     /// Its role.
     pub role: Role,
@@ -23,6 +25,7 @@ pub struct PeerReport {
 /// repeated, or arrives far too late, does not count as a sign of life. The time also shows the
 /// sender's clock to the other system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct LinkReport {
     /// The content.
     pub report: PeerReport,

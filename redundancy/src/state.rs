@@ -13,6 +13,7 @@ const MAGIC: u32 = u32::from_le_bytes(*b"TSS1");
 /// frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, FromRepr, VariantArray)]
 #[repr(u8)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum FailureMode {
     /// No fault.
     #[default]
@@ -81,6 +82,7 @@ impl FailureMode {
 
 /// What a system knows about itself and the other system, kept across restarts. T-RED-1
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SystemState {
     /// This system was master last, or was initialised as master.
     pub is_master: bool,
@@ -105,6 +107,7 @@ pub struct SystemState {
 
 /// The reason why bytes from the flash are not a valid state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum StateDecodeError {
     /// All ones: erased flash.
     Blank,

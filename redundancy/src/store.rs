@@ -42,6 +42,7 @@ impl Geometry {
 
 /// The result of reading the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Loaded {
     /// The newest state.
     State(SystemState),
@@ -53,6 +54,7 @@ pub enum Loaded {
 
 /// The next operation on the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum FlashOp {
     /// Erase this sector.
     Erase {

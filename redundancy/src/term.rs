@@ -13,6 +13,7 @@ use tandem_board::SystemId;
 /// terms wrapped around, one forged frame could reverse their order. A number near the end is not
 /// a term, so no word that is received uses the terms up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Term(u32);
 
 impl Term {

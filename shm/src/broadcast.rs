@@ -32,6 +32,7 @@ pub(crate) fn ring(words: &[AtomicU32], shape: Shape) -> Result<Ring<'_>, FitErr
 
 /// This receiver lost values: the writer overwrote them, or a value was not of the payload's type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Lost {
     /// Number of lost values, at least 1. Not exact if garbage overwrote the ring's words.
     pub count: u32,

@@ -169,6 +169,7 @@ const fn complete(k: u32) -> u32 {
 
 /// The queue is full: every slot holds a value that is not yet released.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Full;
 
 impl core::fmt::Display for Full {

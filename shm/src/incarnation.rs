@@ -27,6 +27,7 @@ const MAX_LIVES_BEHIND: u32 = 7;
 
 /// One incarnation of one core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Incarnation {
     core: u8,
     generation: u32,
@@ -62,6 +63,7 @@ impl Incarnation {
 
 /// A later incarnation of the same core is announced, or this one was marked dead: it must stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Outdated {
     /// The announced generation.
     pub current: u32,

@@ -73,11 +73,12 @@
 //! }
 //!
 //! // The LMU begins on a cache line; on a chip the linker or the board ensures that.
-//! # use core::sync::atomic::AtomicU32;
-//! # #[repr(align(64))]
-//! # struct Lmu([AtomicU32; 512]);
-//! # let lmu = Lmu([const { AtomicU32::new(0) }; 512]);
-//! let map = Map::format(&lmu.0, SPEED.end()).unwrap();
+//! use core::sync::atomic::AtomicU32;
+//! #[repr(align(64))]
+//! struct Lmu([AtomicU32; SPEED.end().total_words()]);
+//! static LMU: Lmu = Lmu([const { AtomicU32::new(0) }; SPEED.end().total_words()]);
+//!
+//! let map = Map::format(&LMU.0, SPEED.end()).unwrap();
 //! let [here, there] = [0, 1].map(|core| Incarnation::new(core, 1).unwrap());
 //! for incarnation in [here, there] {
 //!     map.incarnations().announce(incarnation).unwrap();

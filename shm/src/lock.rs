@@ -92,6 +92,7 @@ const fn released_at(core: usize, generation: u32) -> usize {
 
 /// This core could not take the lock within the given number of polls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct LockTimedOut;
 
 impl core::fmt::Display for LockTimedOut {

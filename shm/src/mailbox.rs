@@ -115,6 +115,7 @@ const POLLS_UNTIL_SURE: u32 = 1 << 31;
 
 /// A task of the receiving core: 1 ..= 15. T-SYNC-1
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TaskId {
     index: u8,
 }
@@ -154,6 +155,7 @@ impl TaskId {
 /// The result of a signal: whether the caller must ring the receiver's doorbell now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use = "a receiver that sleeps must be rung"]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Ring {
     /// The receiver may be asleep.
     Needed,
@@ -437,6 +439,7 @@ pub type TaskFn<C> = fn(&mut C, u32, Call);
 
 /// The id already has a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Taken;
 
 impl core::fmt::Display for Taken {

@@ -83,6 +83,7 @@ const fn fnv(hash: u32, byte: u8) -> u32 {
 
 /// Why a core cannot attach to an LMU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum MapError {
     /// The LMU has fewer words than the layout needs.
     TooSmall,

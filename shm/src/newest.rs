@@ -37,6 +37,7 @@ const fn stride(shape: Shape) -> usize {
 
 /// Why there was no value to read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ReadError {
     /// No value was published. (Also returned, once in 2^32 values, while the number of values is
     /// 0 again and the last value is overwritten.)

@@ -4,6 +4,7 @@ use crate::sync::{AtomicU32, Ordering};
 
 /// A word has a value that its writer cannot have written, so the whole value is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Corrupt;
 
 impl core::fmt::Display for Corrupt {
@@ -15,6 +16,37 @@ impl core::fmt::Display for Corrupt {
 impl core::error::Error for Corrupt {}
 
 /// A type that crosses the LMU as a fixed number of words: the codec of a payload.
+///
+/// ```
+/// use tandem_shm::region::{Fifo, Region};
+/// use tandem_shm::{Corrupt, Payload};
+///
+/// struct Order {
+///     speed: u32,
+///     brakes: bool,
+/// }
+///
+/// impl Payload for Order {
+///     const WORDS: usize = 2;
+///
+///     fn store(&self, put: &mut impl FnMut(u32)) {
+///         put(self.speed);
+///         put(self.brakes.into());
+///     }
+///
+///     fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+///         let speed = take();
+///         let brakes = match take() {
+///             0 => false,
+///             1 => true,
+///             _ => return Err(Corrupt),
+///         };
+///         Ok(Self { speed, brakes })
+///     }
+/// }
+///
+/// const ORDERS: Region<Fifo<Order, 8>> = Region::first("orders");
+/// ```
 pub trait Payload: Sized {
     /// Number of words of a value; at least 1.
     const WORDS: usize;

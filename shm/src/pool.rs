@@ -150,6 +150,7 @@ impl Handle {
 
 /// Why [`Pool::get`] failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum GetError {
     /// No free run of blocks is long enough, or zero words were requested.
     Full,
@@ -172,6 +173,7 @@ impl core::error::Error for GetError {}
 /// Why a handle is refused. A wrong length is refused only if it needs another number of blocks:
 /// the owner of a block owns all of its words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum HandleError {
     /// This pool never made the allocation: the handle is forged or garbage.
     Invalid,
@@ -195,6 +197,7 @@ impl core::error::Error for HandleError {}
 
 /// Why words could not be handed over; their owner is unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum HandOverError {
     /// The handle is refused.
     Handle(HandleError),

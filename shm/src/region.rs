@@ -148,6 +148,7 @@ impl<K> Copy for Region<K> {}
 
 /// Why an end of a region cannot be attached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum EndError {
     /// The end is unique, and this living incarnation holds it.
     Claimed(Incarnation),

@@ -164,6 +164,7 @@ const fn complete(k: u32) -> u32 {
 
 /// The number of a value. The count wraps around and continues over all incarnations of the writer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Stamp(pub u32);
 
 impl Stamp {

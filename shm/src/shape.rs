@@ -13,6 +13,7 @@ pub(crate) const fn whole_lines(words: usize) -> usize {
 
 /// Why a primitive does not fit the given words. The caller's layout is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum FitError {
     /// Fewer words than the primitive's `words(...)` returns.
     TooSmall,

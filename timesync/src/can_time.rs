@@ -278,6 +278,27 @@ pub enum CanTimeRefusal {
     OutOfLine(i64),
 }
 
+impl core::fmt::Display for CanTimeRefusal {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let text = match self {
+            Self::Layout => "its length or type is not one of time synchronisation",
+            Self::Crc => "its CRC is wrong, missing or unwanted",
+            Self::Domain => "it is of another time domain",
+            Self::OtherMaster => "the other system is followed",
+            Self::Counter => "its counter has jumped",
+            Self::Doubled => "its counter is that of the last SYNC",
+            Self::NoSync => "it has no SYNC",
+            Self::Late => "it came too long after its SYNC",
+            Self::Range => "its nanoseconds are a second or more",
+            Self::Learning => "the first samples are not given on",
+            Self::OutOfLine(ns) => return write!(f, "its time is {ns} ns later than expected"),
+        };
+        f.write_str(text)
+    }
+}
+
+impl core::error::Error for CanTimeRefusal {}
+
 /// The receiver of SYNC and FUP.
 #[derive(Clone, Copy, Debug)]
 pub struct CanTimeSlave<S: Scale> {

@@ -4,6 +4,12 @@
 //! A protocol (gPTP, a pulse with a transfer, CAN) turns messages and their stamps into a
 //! [`Sample`]: at this local time it was that global time. A time base turns samples into a time
 //! that never goes back, with a status and an estimate of its error. All arithmetic is in integers.
+//!
+//! # Example
+//!
+//! ```
+#![doc = include_str!("../examples/two_clocks.rs")]
+//! ```
 #![no_std]
 #![forbid(unsafe_code)]
 

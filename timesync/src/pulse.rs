@@ -156,6 +156,20 @@ pub enum PulseRefusal {
     OutOfLine(i64),
 }
 
+impl core::fmt::Display for PulseRefusal {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let text = match self {
+            Self::NoEdge => "no edge is near it",
+            Self::Repeated => "it was received before",
+            Self::Learning => "the first pairs only teach the number of edges",
+            Self::OutOfLine(ns) => return write!(f, "its time is {ns} ns later than expected"),
+        };
+        f.write_str(text)
+    }
+}
+
+impl core::error::Error for PulseRefusal {}
+
 /// The receiver of edges and transfers. A system that has a new master makes a new one.
 #[derive(Clone, Copy, Debug)]
 pub struct PulseSlave<S: Scale> {

@@ -103,12 +103,9 @@ impl Remote {
         let (mut metatraffic, mut user) = (None, None);
         let mut seconds = DEFAULT_LEASE_SECONDS;
         for parameter in list {
+            let is_own = || parameter.guid().is_some_and(|it| it.prefix == self.prefix);
             match parameter.id {
-                pid::PARTICIPANT_GUID
-                    if parameter.guid().map(|it| it.prefix) != Some(self.prefix) =>
-                {
-                    return false;
-                }
+                pid::PARTICIPANT_GUID if !is_own() => return false,
                 pid::METATRAFFIC_LOCATOR => metatraffic = metatraffic.or(parameter.locator()),
                 pid::DEFAULT_LOCATOR => user = user.or(parameter.locator()),
                 pid::LEASE => seconds = parameter.number(0).unwrap_or(0),

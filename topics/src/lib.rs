@@ -3,6 +3,10 @@
 //! [`Participant`] announces itself and its endpoints, finds those of others, and exchanges samples
 //! with them: reliably, with a short history. The caller brings datagrams and the time, and sends
 //! what [`Outlet`] gets. The types of the topics are those of `idl/tandem.idl`. D-1 to D-4
+//!
+//! ```
+#![doc = include_str!("../examples/two_participants.rs")]
+//! ```
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -159,9 +159,8 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
 
     /// Says to all that it ends.
     pub fn leave(&mut self, out: &mut impl Outlet) {
-        Message::new(self.prefix, None)
-            .end_of_participant()
-            .send(out);
+        let mut message = Message::new(self.prefix, None);
+        message.end_of_participant().send(out);
     }
 
     /// Hears a datagram.
@@ -310,10 +309,8 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
     /// Returns the place of a participant without an endpoint that fits.
     fn of_no_use(&self) -> Option<usize> {
         let is_used = |prefix: GuidPrefix| {
-            let mut readers = self
-                .writers
-                .iter()
-                .flat_map(|it| it.readers.iter().flatten());
+            let ours = self.writers.iter();
+            let mut readers = ours.flat_map(|it| it.readers.iter().flatten());
             let mut writers = self.readers.iter().flat_map(Reader::writers);
             readers.any(|it| it.guid.prefix == prefix) || writers.any(|it| it.prefix == prefix)
         };
@@ -391,10 +388,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
 
     fn acknowledge(&mut self, to: Peer, ends: Ends, set: SequenceSet, out: &mut impl Outlet) {
         self.count = self.count.wrapping_add(1);
-        let own = self.prefix;
-        Message::new(own, Some(to))
-            .acknack(ends, set, self.count)
-            .send(out);
+        self.to(to).acknack(ends, set, self.count).send(out);
     }
 
     /// Sends a reader again what it asks for, and tells what is dropped, or is older than the first
@@ -412,9 +406,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             self.send_heartbeat(index, reader, out);
         }
         if set.bits > 0 && set.base < first {
-            Message::new(self.prefix, Some(to))
-                .gap(ends, set.base, first)
-                .send(out);
+            self.to(to).gap(ends, set.base, first).send(out);
         }
         let last = set.numbers().last();
         for number in set.numbers().filter(|number| *number >= first) {
@@ -462,6 +454,10 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         (Ends { reader, writer }, Message::new(self.prefix, user))
     }
 
+    fn to(&self, to: Peer) -> Message {
+        Message::new(self.prefix, Some(to))
+    }
+
     fn announce(&self, to: Option<Peer>, out: &mut impl Outlet) {
         let mut message = Message::new(self.prefix, to);
         discovery::write_participant(&mut message, self.at).send(out);
@@ -475,7 +471,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
         };
         for number in asks.numbers() {
             if let Some(endpoint) = endpoints.get(number as usize - 1) {
-                let mut message = Message::new(self.prefix, Some(to));
+                let mut message = self.to(to);
                 discovery::write_endpoint(&mut message, kind, number, endpoint);
                 message.send(out);
             }
@@ -487,9 +483,7 @@ impl<const W: usize, const R: usize, const DEPTH: usize, const OUT: usize, const
             count: self.count,
             is_final: false,
         };
-        Message::new(self.prefix, Some(to))
-            .heartbeat(kind.ends(), heartbeat)
-            .send(out);
+        self.to(to).heartbeat(kind.ends(), heartbeat).send(out);
     }
 
     /// Reminds who has not said that it has everything.

@@ -323,10 +323,8 @@ impl<const DEPTH: usize, const BYTES: usize> Reader<DEPTH, BYTES> {
         let lost = writer.stream.on_heartbeat(heartbeat)?;
         (writer.last, writer.asked, writer.asks) = (heartbeat.last, now, 0);
         self.counts.lost = self.counts.lost.saturating_add(lost);
-        let (next, set) = (
-            writer.stream.next,
-            writer.stream.missing(writer.last, self.depth),
-        );
+        let set = writer.stream.missing(writer.last, self.depth);
+        let next = writer.stream.next;
         if next < before {
             self.drop_from(index, next);
         }

@@ -28,6 +28,17 @@ pub enum WriteError {
     Ended,
 }
 
+impl core::fmt::Display for WriteError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::TooLong => "the sample is longer than the room for it",
+            Self::Ended => "the writer has used all its numbers",
+        })
+    }
+}
+
+impl core::error::Error for WriteError {}
+
 #[derive(Clone, Debug)]
 pub(crate) struct Writer<const DEPTH: usize, const BYTES: usize> {
     /// Length and bytes of each.

@@ -10,7 +10,9 @@ mod instructions;
 mod licences;
 mod mutants;
 mod names;
+mod outside;
 mod package;
+mod release;
 mod requirements;
 mod rooms;
 mod rta;
@@ -68,6 +70,16 @@ enum Task {
     Licences,
     /// Pack the crates that others may depend on, and build each from its package
     Package,
+    /// What precedes a release: `package`, then compare what the crates offer with the last release
+    /// (needs cargo-semver-checks), which must not break a user within one version
+    Release {
+        /// The revision to compare with [default: the last tag v*]
+        #[arg(long, value_name = "REVISION")]
+        baseline: Option<String>,
+    },
+    /// Build, run and test projects outside the tree that have only the packages: on two cores of
+    /// RISC-V and on a Cortex-M4 under QEMU, and with the features for a HAL
+    Outside,
     /// Check the house rules: permitted dependencies, file heads and sizes, unsafe code only where
     /// allowed, shared names, the lines of each room
     Tidy {
@@ -366,6 +378,8 @@ fn execute() -> Result<()> {
     match Arguments::parse().task {
         Task::Test => test_runner::test(root),
         Task::Licences => licences::run(root),
+        Task::Release { baseline } => release::run(root, baseline),
+        Task::Outside => outside::run(root),
         Task::Package => package::run(root),
         Task::Tidy { save } => tidy::run(root, save),
         Task::Requirements { require } => requirements::run(root, &require),

@@ -4,6 +4,7 @@ use crate::Instant;
 
 /// A CAN identifier: standard (11 bit) or extended (29 bit).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CanId {
     /// 0 ..= 0x7FF
     Standard(u16),
@@ -13,6 +14,7 @@ pub enum CanId {
 
 /// A classic CAN or CAN FD data frame. `new` checks it, so the bus can carry every `CanFrame`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CanFrame {
     id: CanId,
     fd: bool,
@@ -23,6 +25,7 @@ pub struct CanFrame {
 /// The id is out of range, or the length is not valid for CAN (0..=8) or CAN FD (0..=8, 12, 16, 20,
 /// 24, 32, 48, 64).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct InvalidFrame;
 
 impl core::fmt::Display for InvalidFrame {
@@ -82,6 +85,7 @@ impl CanFrame {
 
 /// The transmit buffer is full; the frame was not accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TransmitFull;
 
 impl core::fmt::Display for TransmitFull {
@@ -94,6 +98,7 @@ impl core::error::Error for TransmitFull {}
 
 /// A frame received from the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Received {
     /// The frame.
     pub frame: CanFrame,
@@ -103,6 +108,7 @@ pub struct Received {
 
 /// Error state of a CAN controller (ISO 11898-1, fault confinement).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CanState {
     /// Both error counters are below 128.
     ErrorActive,
@@ -115,6 +121,7 @@ pub enum CanState {
 
 /// The error counters of a CAN controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CanErrors {
     /// Transmit error counter, 0 ..= 256; 256 while the controller is bus-off.
     pub transmit: u16,

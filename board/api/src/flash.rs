@@ -2,6 +2,7 @@
 
 /// Why a flash operation was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum FlashError {
     /// An operation is in progress; try again when [`DataFlash::status`] returns `Idle`.
     Busy,
@@ -25,6 +26,7 @@ impl core::error::Error for FlashError {}
 
 /// State of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum FlashStatus {
     /// Ready; the last operation, if any, is durable.
     Idle,

@@ -4,6 +4,7 @@ use core::fmt;
 
 /// One of the two systems of the controller. T-CHIP-1
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SystemId {
     /// System A, initialised as master.
     A,
@@ -52,6 +53,7 @@ impl fmt::Display for SystemId {
 
 /// One of the three cores of a system: 0 control, 1 perception, 2 planning. T-CHIP-2
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CoreId(u8);
 
 impl CoreId {
@@ -91,6 +93,7 @@ impl fmt::Display for CoreId {
 
 /// A core of the controller: its system and its number. Displayed as, for example, `A0`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CoreAddress {
     /// The system that the core belongs to.
     pub system: SystemId,
@@ -149,10 +152,12 @@ impl fmt::Display for CoreAddress {
 /// Number of a core's incarnation: 1 after power-on, then one more after each reset of the core. 0
 /// means no core.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Generation(pub u32);
 
 /// A core and one of its incarnations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Identity {
     /// The system that the core belongs to.
     pub system: SystemId,

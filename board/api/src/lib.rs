@@ -17,16 +17,26 @@
 //! - **Task**: from one task of the core at a time, never from a handler. It may block.
 //!
 //! `tandem-board-conformance` tests the contracts written here.
+//!
+//! # Example
+//!
+//! ```
+#![doc = include_str!("../examples/can_controller.rs")]
+//! ```
 #![no_std]
 #![forbid(unsafe_code)]
 
 mod can;
 mod faults;
 mod flash;
+#[cfg(feature = "embedded-can")]
+mod hal_can;
 mod identity;
 mod lines;
 mod monotonic;
 mod network;
+#[cfg(feature = "embedded-storage")]
+mod nor_flash;
 mod supply;
 pub mod tester_desk;
 mod time;
@@ -40,6 +50,8 @@ pub use identity::{CoreAddress, CoreId, Generation, Identity, SystemId};
 pub use lines::{Edge, Line, Lines, Link, LinkFull, TimeEdge};
 pub use monotonic::{MonotonicCounter, NoCounter};
 pub use network::{Channel, Datagram, Network, NetworkAddress, NetworkFull, NoNetwork, Recipient};
+#[cfg(feature = "embedded-storage")]
+pub use nor_flash::NorDataFlash;
 pub use supply::{ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer};
 pub use tester_desk::{DeskAction, TesterDesk};
 pub use time::{Duration, Instant};
@@ -55,6 +67,7 @@ pub use tandem_shm::sync::AtomicU32 as LmuWord;
 
 /// Why a [`Board::wait`] ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Wake {
     /// A doorbell, a waking edge or a received CAN frame: something may be pending. May be
     /// spurious.

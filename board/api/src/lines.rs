@@ -4,6 +4,7 @@ use crate::Instant;
 
 /// A hard-wired line to the other system. Each line exists once in each direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Line {
     /// Start protocol: handshake on the rising edge, sync on the falling edge. Edges interrupt core
     /// 0.
@@ -36,6 +37,7 @@ impl Line {
 
 /// The type of an edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Edge {
     /// Low to high.
     Rising,
@@ -45,6 +47,7 @@ pub enum Edge {
 
 /// A rising edge that was received on [`Line::Time`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TimeEdge {
     /// Its number since power-on, from 1: what [`Lines::received`] returned when it came. Wraps
     /// around.
@@ -81,6 +84,7 @@ pub trait Lines {
 
 /// The transmit buffer of the link is full; no part of the datagram was accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct LinkFull;
 
 impl core::fmt::Display for LinkFull {

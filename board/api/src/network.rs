@@ -4,6 +4,7 @@ use crate::Instant;
 
 /// Where a station hears on a channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NetworkAddress {
     /// IPv4 address.
     pub address: [u8; 4],
@@ -63,6 +64,7 @@ pub struct Datagram {
 
 /// The transmit buffer of the port is full; the datagram was not accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NetworkFull;
 
 impl core::fmt::Display for NetworkFull {

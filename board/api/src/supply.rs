@@ -24,6 +24,7 @@ macro_rules! coded {
 
 /// Why the system (or this core) started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ResetCause {
     /// Power was switched on.
     PowerOn,
@@ -56,6 +57,7 @@ coded!(ResetCause: PowerOn, Software, Watchdog, Trap, Download, ErrorPin, Underv
 
 /// A core's request to the reset generator. Each request resets all three cores of the system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ResetRequest {
     /// An orderly restart; the next reset cause is [`ResetCause::Software`].
     Software,
@@ -72,6 +74,7 @@ coded!(ResetRequest: Software, CoreDead, Suspend, Download);
 
 /// The system's role, shown on its digital outputs for people and oscilloscopes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RoleLamp {
     /// Has no role yet.
     Starting,

@@ -3,6 +3,12 @@
 //! A board with real hardware does not use it. The host, the simulator and the emulated board pass
 //! bytes and the time to these models and carry out their decisions. A model reads no clock and
 //! does no input or output; it returns its decisions.
+//!
+//! # Example
+//!
+//! ```
+#![doc = include_str!("../examples/watchdog.rs")]
+//! ```
 #![no_std]
 #![forbid(unsafe_code)]
 

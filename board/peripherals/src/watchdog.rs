@@ -52,6 +52,18 @@ pub enum WatchdogFault {
     WrongAnswer,
 }
 
+impl core::fmt::Display for WatchdogFault {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Late => "no service arrived in time",
+            Self::Early => "the service arrived before the window opened",
+            Self::WrongAnswer => "the service did not answer the question",
+        })
+    }
+}
+
+impl core::error::Error for WatchdogFault {}
+
 /// Monitors one incarnation of a system.
 #[derive(Clone, Copy, Debug)]
 pub struct Watchdog {

@@ -38,19 +38,32 @@ fn compiled(compiler: &str, arguments: &[&str], paths: &[&Path]) {
     assert!(output.status.success(), "{command:?}\n{said}");
 }
 
+/// Compiles a source of this room, and links it with the library.
+fn linked(source: &str, program: &Path) {
+    let (source, library) = (room().join(source), library());
+    let mut paths: Vec<&Path> = vec![&source, Path::new("-o"), program, &library];
+    paths.extend(["-lpthread", "-ldl", "-lm", "-lgcc_s"].map(Path::new));
+    compiled("cc", &["-std=c99", "-O2"], &paths);
+}
+
+/// Compiles the example of the docs, and returns what it prints.
+pub(crate) fn output_of_the_example() -> String {
+    let place = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let folder = TempDir::with_prefix_in("tandem-capi-", place).unwrap();
+    let program = folder.path().join("two_cores");
+    linked("examples/two_cores.c", &program);
+    let output = Command::new(program).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
 /// Compiles the peer once for each test process, and returns its path, which is always the same.
 pub(crate) fn peer() -> &'static Path {
     static PEER: LazyLock<PathBuf> = LazyLock::new(|| {
         let place = Path::new(env!("CARGO_TARGET_TMPDIR"));
         let folder = TempDir::with_prefix_in("tandem-capi-", place).unwrap();
         let program = folder.path().join("peer");
-        let source = room().join("tests/peer/peer.c");
-        let libraries = ["-lpthread", "-ldl", "-lm", "-lgcc_s"].map(Path::new);
-        let mut paths: Vec<&Path> = vec![&source, Path::new("-o"), &program];
-        let library = library();
-        paths.push(&library);
-        paths.extend(libraries);
-        compiled("cc", &["-std=c99", "-O2"], &paths);
+        linked("tests/peer/peer.c", &program);
         // A rename replaces the file atomically: other test processes may be starting it.
         let peer = place.join("tandem-capi-peer");
         std::fs::rename(&program, &peer).unwrap();

@@ -20,6 +20,12 @@ fn the_header_says_what_the_library_does() {
 }
 
 #[test]
+fn the_example_of_the_docs_hands_over_three_speeds() {
+    let speeds = "core 1: 1 m/s, 1000 mm/s\ncore 1: 2 m/s, 2000 mm/s\ncore 1: 3 m/s, 3000 mm/s\n";
+    assert_eq!(build::output_of_the_example(), speeds);
+}
+
+#[test]
 fn orders_and_answers_go_through_mailbox_and_fifo() {
     let mut bench = Bench::new();
     let child = bench.start(1);

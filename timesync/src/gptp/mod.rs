@@ -197,6 +197,31 @@ pub enum Why {
     DelayAboveThreshold,
 }
 
+impl core::fmt::Display for Why {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Silent => "no master is heard",
+            Self::Malformed => "bytes are no message of PTP version 2",
+            Self::OtherProfile => "messages have another major sdoId",
+            Self::OtherDomain => "messages are of another domain",
+            Self::OtherMaster => "another master than the configured one is heard",
+            Self::NoAnnounce => "Sync is heard, but no Announce",
+            Self::OtherScale => "the time scale of the master is not the one that is wanted",
+            Self::OtherGrandmaster => "the followed port announces another grandmaster",
+            Self::OneStep => "the master sends Sync without the two-step flag",
+            Self::NoFollowUp => "no Sync has its Follow_Up yet",
+            Self::NoStamp => "the board does not tell when requests left",
+            Self::NoAnswer => "requests for the delay are not answered",
+            Self::ManyPeers => "more than one port answers requests for the peer delay",
+            Self::WildRate => "the rates of the clocks differ by more than 200 ppm",
+            Self::NegativeDelay => "the measured delay is negative",
+            Self::DelayAboveThreshold => "the measured delay is above the largest permitted one",
+        })
+    }
+}
+
+impl core::error::Error for Why {}
+
 /// Returns the next time of a period that is due; it does not catch up with what was missed.
 fn next(due: Instant, every: Duration, now: Instant) -> Instant {
     (due + every).max(now + Duration::from_ns(every.as_ns() / 2))

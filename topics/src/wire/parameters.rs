@@ -29,13 +29,11 @@ impl<'m> Cursor<'m> {
 
     #[inline(never)]
     fn read(&mut self, into: &mut [u8]) -> bool {
-        let Some(bytes) = self.take(into.len()) else {
-            return false;
-        };
-        for (to, from) in into.iter_mut().zip(bytes) {
+        let bytes = self.take(into.len());
+        for (to, from) in into.iter_mut().zip(bytes.unwrap_or_default()) {
             *to = *from;
         }
-        true
+        bytes.is_some()
     }
 
     /// The bytes of a number, little-endian.
@@ -127,13 +125,10 @@ impl<'m> Parameter<'m> {
     /// A locator of IPv4; `None` for others.
     pub(crate) fn locator(mut self) -> Option<NetworkAddress> {
         let (kind, port) = (self.value.u32()?, self.value.u32()?);
-        let address: [u8; 16] = self.value.array()?;
-        let [.., a, b, c, d] = address;
+        let [.., a, b, c, d]: [u8; 16] = self.value.array()?;
         let port = u16::try_from(port).ok().filter(|port| *port > 0)?;
-        (kind == UDP_V4).then_some(NetworkAddress {
-            address: [a, b, c, d],
-            port,
-        })
+        let address = [a, b, c, d];
+        (kind == UDP_V4).then_some(NetworkAddress { address, port })
     }
 
     /// Returns its text.
