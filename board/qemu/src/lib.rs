@@ -10,6 +10,7 @@
 
 mod alone;
 mod bridge;
+mod emulator;
 mod machine;
 mod world;
 
