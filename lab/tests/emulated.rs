@@ -56,14 +56,12 @@ fn frames(out: &Path) -> Vec<String> {
 }
 
 /// Both systems drive in one machine, and a second run produces exactly the same frames.
-#[test]
-#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
-fn a_run_of_the_firmware_is_the_same_each_time() {
+fn drives_alike_each_time(chosen: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
     let outs: [PathBuf; 2] = ["first", "second"].map(|name| folder.path().join(name));
     for out in &outs {
         let arguments = ["--board", "qemu-one", "--duration", "2", "--quiet"];
-        end(tandem(&arguments, out).spawn().unwrap());
+        end(tandem(&arguments, out).args(chosen).spawn().unwrap());
     }
     let [first, second] = outs.each_ref().map(|out| frames(out));
     assert!(first.len() > 1_000, "only {} frames", first.len());
@@ -72,6 +70,20 @@ fn a_run_of_the_firmware_is_the_same_each_time() {
     assert_eq!(metrics["complete"], true);
     assert_eq!(metrics["collisions"], 0);
     assert_eq!(metrics["takeovers"], Value::Array(vec![]));
+}
+
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_run_of_the_firmware_is_the_same_each_time() {
+    drives_alike_each_time(&[]);
+}
+
+/// The image says for which machine it is.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_run_on_the_64_bit_machine_is_the_same_each_time() {
+    let images = std::env::var("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
+    drives_alike_each_time(&["--firmware", &format!("{images}/rv64-controller")]);
 }
 
 /// T-CHIP-5, T-RED-4: each system runs in its own emulator. When the master's is killed, B drives.

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::emulator;
+use crate::emulator::emulator_command;
 use crate::machine::MachineError;
 
 /// Longer than any such image runs, even on a busy machine.
@@ -37,7 +37,7 @@ pub fn run_to_end(image: &Path) -> Result<String, MachineError> {
     let path = folder.path().join("log");
     let log = File::create(&path).map_err(MachineError::Pipes)?;
     let errors = log.try_clone().map_err(MachineError::Pipes)?;
-    let mut command = emulator::command(image)?;
+    let mut command = emulator_command(image)?;
     command
         .args(["-display", "none", "-monitor", "none", "-serial", "stdio"])
         .args(["-icount", "shift=0,sleep=off", "-kernel"])

@@ -12,11 +12,11 @@ const CLASS_AT: usize = 4;
 /// Seven harts, which start in the image and not in firmware of the emulator.
 const HARTS: [&str; 4] = ["-smp", "7", "-bios", "none"];
 
-/// Returns the command of the emulator with the machine that `image` is built for.
+/// Returns the command of the emulator, with the machine that `image` is built for and all its harts.
 ///
 /// # Errors
 /// [`MachineError::Image`] if the file cannot be read, or is not an image for these machines.
-pub(crate) fn command(image: &Path) -> Result<Command, MachineError> {
+pub fn emulator_command(image: &Path) -> Result<Command, MachineError> {
     let mut head = [0; CLASS_AT + 1];
     File::open(image)
         .and_then(|mut file| file.read_exact(&mut head))

@@ -13,7 +13,7 @@ use tandem_board::SystemId;
 use tandem_cosim::{ITEM_WORDS, Item, MAGIC, MAX_WORDS, REPORT_WORDS, Report};
 use tempfile::TempDir;
 
-use crate::emulator;
+use crate::emulator::emulator_command;
 
 /// Address from which the firmware reads its straps.
 const STRAPS_AT: u32 = 0x8090_0000;
@@ -120,7 +120,7 @@ impl Machine {
                 .map_err(MachineError::Pipes)?;
         }
         let mask: u32 = systems.iter().map(|system| 1 << system.index()).sum();
-        let mut command = emulator::command(image)?;
+        let mut command = emulator_command(image)?;
         command
             .current_dir(folder.path())
             .args([
