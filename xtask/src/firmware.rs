@@ -55,7 +55,7 @@ pub(crate) enum Firmware {
     },
     /// Build and run the images for two Cortex-M33 (QEMU's mps2-an521)
     An521,
-    /// Run the conformance suite on both RISC-V boards, and drive with the whole controller as firmware
+    /// Run the conformance suite on both RISC-V boards, and drive with the controller as firmware
     Test {
         /// Leave out the update of both systems while they drive, which takes over a minute
         #[arg(long)]

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::emulator::emulator_command;
+use crate::emulator::ImageMachine;
 use crate::machine::MachineError;
 
 /// Longer than any such image runs, even on a busy machine.
@@ -27,8 +27,7 @@ impl Drop for Emulator {
 ///
 /// # Errors
 /// [`MachineError::Image`], [`MachineError::Start`] or [`MachineError::Pipes`];
-/// [`MachineError::Ended`] if the exit status
-/// is not 0; [`MachineError::Hangs`] after two minutes.
+/// [`MachineError::Ended`] if the exit status is not 0; [`MachineError::Hangs`] after two minutes.
 pub fn run_to_end(image: &Path) -> Result<String, MachineError> {
     let folder = tempfile::Builder::new()
         .prefix("tandem-qemu-")
@@ -37,7 +36,8 @@ pub fn run_to_end(image: &Path) -> Result<String, MachineError> {
     let path = folder.path().join("log");
     let log = File::create(&path).map_err(MachineError::Pipes)?;
     let errors = log.try_clone().map_err(MachineError::Pipes)?;
-    let mut command = emulator_command(image)?;
+    let machine = ImageMachine::of(image).map_err(MachineError::Image)?;
+    let mut command = machine.command();
     command
         .args(["-display", "none", "-monitor", "none", "-serial", "stdio"])
         .args(["-icount", "shift=0,sleep=off", "-kernel"])

@@ -15,7 +15,7 @@ mod machine;
 mod world;
 
 pub use alone::run_to_end;
-pub use emulator::emulator_command;
+pub use emulator::ImageMachine;
 pub use machine::{
     BootFrom, LOADER_RAM_AT, Machine, MachineError, MachineOptions, PROGRAM_FLASH_AT,
 };

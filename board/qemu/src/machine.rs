@@ -13,7 +13,7 @@ use tandem_board::SystemId;
 use tandem_cosim::{ITEM_WORDS, Item, MAGIC, MAX_WORDS, REPORT_WORDS, Report};
 use tempfile::TempDir;
 
-use crate::emulator::emulator_command;
+use crate::emulator::ImageMachine;
 
 /// Address from which the firmware reads its straps.
 const STRAPS_AT: u32 = 0x8090_0000;
@@ -96,8 +96,9 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Starts the image with these systems in it, on the machine that it is built for. In a machine with a single system, core 0 runs
-    /// its tasks under FreeRTOS. `BootFrom` is for an image that boots.
+    /// Starts the image with these systems in it, on the machine that it is built for. In a machine
+    /// of 32 bits with a single system, core 0 runs its tasks under FreeRTOS. `BootFrom` is for an
+    /// image that boots.
     ///
     /// # Errors
     /// [`MachineError::Image`], [`MachineError::Start`] or [`MachineError::Pipes`].
@@ -120,7 +121,8 @@ impl Machine {
                 .map_err(MachineError::Pipes)?;
         }
         let mask: u32 = systems.iter().map(|system| 1 << system.index()).sum();
-        let mut command = emulator_command(image)?;
+        let machine = ImageMachine::of(image).map_err(MachineError::Image)?;
+        let mut command = machine.command();
         command
             .current_dir(folder.path())
             .args([

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use recording::{DRIVE_MS, record};
-use tandem_board_qemu::emulator_command;
+use tandem_board_qemu::ImageMachine;
 use tandem_golden::play;
 
 #[path = "../../../tests/golden/recording.rs"]
@@ -37,7 +37,7 @@ fn as_firmware(image: &str, recording: &[u32]) -> String {
         file.display()
     );
     let image = PathBuf::from(images).join(image);
-    let emulator = emulator_command(&image).unwrap();
+    let emulator = ImageMachine::of(&image).unwrap().command();
     let output = Command::new("timeout")
         .arg("120")
         .arg(emulator.get_program())

@@ -35,7 +35,7 @@ pub(crate) fn public_key() -> [u8; 32] {
 /// Returns the public keys of testers: one, or none.
 #[must_use]
 pub(crate) fn testers() -> &'static [[u8; 32]] {
-    // SAFETY: as in [`strap`](crate::memory::strap); the key is bytes, and nothing writes it after the start.
+    // SAFETY: link.x reserves 4 KiB there; the key is bytes, and nothing writes it after the start.
     let key = unsafe { &*addr_of!(__straps).add(KEY_AT + 8).cast::<[u8; 32]>() };
     if key.iter().all(|byte| *byte == 0) {
         return &[];
@@ -47,7 +47,7 @@ fn key_at(at: usize) -> [u8; 32] {
     let mut key = [0; 32];
     let (words, _) = key.as_chunks_mut::<4>();
     for (index, word) in words.iter_mut().enumerate() {
-        // SAFETY: as in `strap`.
+        // SAFETY: words of the memory that `testers` describes.
         let read = unsafe { addr_of!(__straps).add(at + index).read_volatile() };
         *word = read.to_le_bytes();
     }

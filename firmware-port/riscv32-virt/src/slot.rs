@@ -1,4 +1,4 @@
-//! The jump from this image to one in a slot of the program flash, and the registers for it. T-BOOT-7
+//! The jump from this image to one in a slot of the program flash, and its registers. T-BOOT-7
 
 use crate::board::VirtBoard;
 use crate::{clint, doorbell, hart, peripherals, trap};

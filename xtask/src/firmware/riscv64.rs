@@ -8,7 +8,13 @@ use std::path::Path;
 const TARGET: &str = "riscv64imac-unknown-none-elf";
 const QEMU: &str = "qemu-system-riscv64";
 /// Doorbells by messages, and the timer apart from them: see `interrupts.rs` of the board.
-const MACHINE: [&str; 5] = ["virt,aclint=on,aia=aplic-imsic", "-smp", "7", "-bios", "none"];
+const MACHINE: [&str; 5] = [
+    "virt,aclint=on,aia=aplic-imsic",
+    "-smp",
+    "7",
+    "-bios",
+    "none",
+];
 const CONFORMANCE: &str = "rv64-conformance";
 const IMAGES: [&str; 3] = [CONFORMANCE, "rv64-controller", "rv64-golden-replay"];
 
@@ -30,6 +36,9 @@ pub(super) fn build(root: &Path) -> Result<()> {
 /// Runs the conformance suite.
 pub(super) fn conformance(root: &Path) -> Result<()> {
     let elf = released(root, CONFORMANCE);
-    print!("{}", finish(&mut machine(QEMU, &MACHINE, &elf, 0, (0, &[])))?);
+    print!(
+        "{}",
+        finish(&mut machine(QEMU, &MACHINE, &elf, 0, (0, &[])))?
+    );
     Ok(())
 }
