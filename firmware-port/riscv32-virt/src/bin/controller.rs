@@ -6,16 +6,11 @@
 
 use tandem_board_riscv32_virt::board::run;
 use tandem_board_riscv32_virt::controller::SLICE_TICKS;
-use tandem_board_riscv32_virt::{entry, kernel};
 use tandem_board_riscv32_virt::peripherals::Peripherals;
+use tandem_board_riscv32_virt::{entry, kernel};
 
 entry!(main);
 
 fn main(hart: usize) -> ! {
-    run(
-        hart,
-        SLICE_TICKS,
-        kernel::core,
-        Peripherals::play_for_world,
-    )
+    run(hart, SLICE_TICKS, kernel::core, Peripherals::play_for_world)
 }
