@@ -1,5 +1,6 @@
 # Start-up and trap entry. All harts start here at once; hart 0 prepares the memory, and the others
-# wait for it. The board defines REGISTER_BYTES, DOORBELL_CAUSE, STORE, LOAD and PREPARE_DOORBELL.
+# wait for it. The board defines REGISTER_BYTES, DOORBELL_CAUSE, STORE, LOAD, PREPARE_DOORBELL, and
+# how the others learn of the memory: MEMORY_IS_READY, AWAIT_MEMORY (s0 = hart).
 
     .equ HARTS, 8
     .equ STACK_SHIFT, 18     # 256 KiB for each hart, as in link.x
@@ -49,20 +50,11 @@ begin:
     addi t0, t0, 4
     j 6b
 7:  fence rw, rw
-    la t0, memory_is_ready
-    li t1, 1
-    sw t1, 0(t0)
+    MEMORY_IS_READY
     j run
 
-    # Not by a doorbell: the bell of a hart that does not exist may be an access fault. Under icount
-    # each sleep yields the turn to hart 0.
 wait_for_memory:
-    la t0, memory_is_ready
-3:  csrsi mie, SSI
-    wfi
-    csrci mie, SSI
-    lw t1, 0(t0)
-    beqz t1, 3b
+    AWAIT_MEMORY
     fence rw, rw
 run:
     mv a0, s0
@@ -97,12 +89,6 @@ begin_again:
 tandem_no_verify:
     li a0, 0
     ret
-
-# Whether hart 0 has prepared the memory. Not in .bss, which it clears.
-    .section .data
-    .align 2
-memory_is_ready:
-    .word 0
 
     .section .text.trap, "ax"
     .align 6

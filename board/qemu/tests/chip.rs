@@ -194,7 +194,7 @@ fn a_chip_keeps_the_times_of_the_thesis() {
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_chip_of_64_bits_keeps_the_same_times() {
-    let measured = CASES.map(|case| measure("rv64-controller", case, 1));
+    let measured = CASES.map(|case| measure("rv64-controller", case, moments()));
     println!("{measured:#?}");
     assert!(measured.iter().all(|(_, is_late)| !is_late));
 }

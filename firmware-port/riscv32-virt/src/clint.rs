@@ -78,15 +78,14 @@ pub fn timer(hart: usize) -> u64 {
     unsafe { u64::from(read_volatile(register.add(1))) << 32 | u64::from(read_volatile(register)) }
 }
 
-/// Advances the clock of all harts to `ticks`. Returns false if it cannot.
-///
-/// A write to the lower word clears the upper word in the emulator, so the clock cannot be set
-/// after 429 s.
-pub(crate) fn jump_to(ticks: u64) -> bool {
-    let Ok(ticks) = u32::try_from(ticks) else {
-        return false;
-    };
+/// Returns a time to which the clock can be set, `None` after 429 s: a write to the lower word
+/// clears the upper word in the emulator.
+pub(crate) fn settable(ticks: u64) -> Option<u32> {
+    u32::try_from(ticks).ok()
+}
+
+/// Advances the clock of all harts to `ticks`.
+pub(crate) fn jump_to(ticks: u32) {
     // SAFETY: the lower word of the clock; timers within the skipped time expire at once.
     unsafe { write_volatile(MTIME as *mut u32, ticks) };
-    true
 }

@@ -78,12 +78,13 @@ fn timer_of(hart: usize) -> *mut u64 {
     (MTIMECMP + 8 * (hart % HARTS)) as *mut u64
 }
 
-/// Advances the clock of all harts to `ticks`. Returns false if it cannot.
-pub(crate) fn jump_to(ticks: u64) -> bool {
-    if ticks > LAST_JUMP {
-        return false;
-    }
+/// Returns a time to which the clock can be set, `None` after [`LAST_JUMP`].
+pub(crate) fn settable(ticks: u64) -> Option<u64> {
+    (ticks <= LAST_JUMP).then_some(ticks)
+}
+
+/// Advances the clock of all harts to `ticks`.
+pub(crate) fn jump_to(ticks: u64) {
     // SAFETY: the clock; timers within the skipped time expire at once.
     unsafe { write_volatile(MTIME as *mut u64, ticks) };
-    true
 }

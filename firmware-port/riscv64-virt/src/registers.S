@@ -31,3 +31,26 @@
     SET_INDIRECT EIDELIVERY, 1
     .endm
 
+    # A word wakes the others: the bell of a hart that does not exist is an access fault.
+    .macro MEMORY_IS_READY
+    la t0, memory_is_ready
+    li t1, 1
+    sw t1, 0(t0)
+    .endm
+
+    # Under icount each sleep yields the turn to hart 0.
+    .macro AWAIT_MEMORY
+    la t0, memory_is_ready
+3:  csrsi mie, SSI
+    wfi
+    csrci mie, SSI
+    lw t1, 0(t0)
+    beqz t1, 3b
+    .endm
+
+    # Not in .bss, which hart 0 clears.
+    .section .data
+    .align 2
+memory_is_ready:
+    .word 0
+

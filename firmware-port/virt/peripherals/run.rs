@@ -181,10 +181,13 @@ impl Peripherals {
                 continue;
             }
             let timers = (0..CARRIER).map(interrupts::timer).filter(|timer| *timer > now);
-            if !interrupts::jump_to(timers.fold(deadline, u64::min)) {
+            match interrupts::settable(timers.fold(deadline, u64::min)) {
+                Some(next) => interrupts::jump_to(next),
                 // The carrier must sleep, so that the emulator advances the clock.
-                doorbell::wait(Some(deadline));
-                return;
+                None => {
+                    doorbell::wait(Some(deadline));
+                    return;
+                }
             }
         }
     }
