@@ -155,8 +155,8 @@ const CASES: [Case; 6] = [
     (Fails::Mute, true, [12.9, 13.0, 13.0]),
 ];
 
-/// Runs a case at several moments within a control period. Returns the times, and whether one is too
-/// long.
+/// Runs a case at several moments within a control period. Returns the times, and whether one of
+/// them is too long.
 fn measure(image: &str, (fails, level_cut, bounds): Case, moments: u32) -> (String, bool) {
     // Vary the moment within a millisecond too, because polls are 1 ms apart.
     let step_us = 10_000 / moments + 187;

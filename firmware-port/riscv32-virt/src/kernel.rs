@@ -2,8 +2,8 @@
 //!
 //! The kernel's statics exist once in an image, so with both systems in one machine each core 0
 //! runs its tasks to completion instead. Cores 1 and 2 have no kernel. The straps are those of
-//! [`controller`], and
-//! strap `Third`: an overload of core 0's tasks for tests, see [`overload`]; 0 means none.
+//! [`controller`], and strap `Third`: an overload of core 0's tasks for tests, see [`overload`]; 0
+//! means none.
 
 use crate::board::VirtBoard;
 use crate::controller::{self, config, go};
