@@ -17,7 +17,9 @@ pub(crate) struct BootRegisters {
     pub(crate) asked_bank: AtomicU32,
 }
 
-// The linker scripts place it at the same address in all images.
+// The linker scripts place it at the same address in all images. `used`, because an image that only
+// reads it would be compiled as if it stayed zero: another image writes it.
+#[used]
 #[unsafe(link_section = ".bss.carrier.boot")]
 static BOOT: [BootRegisters; 2] = [const {
     BootRegisters {
