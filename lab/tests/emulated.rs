@@ -201,7 +201,7 @@ fn both_emulated_systems_are_updated_while_they_drive() {
         "--scenario",
         "free-lane",
         "--duration",
-        "110",
+        "160",
     ];
     let mut command = tandem(&scenario, &out);
     let run = command.args(["--reintegrate", "--update", "2"]).output();
