@@ -1,7 +1,7 @@
 //! Waits for the doorbell or a deadline, without a race and without taking the interrupt.
 
-use crate::interrupts;
 use crate::hart::{self, DOORBELL, HARTS, TIMER};
+use crate::interrupts;
 use crate::trap::{self, HartState};
 use core::sync::atomic::Ordering::Relaxed;
 

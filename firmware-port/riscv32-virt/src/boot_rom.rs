@@ -4,8 +4,8 @@
 //! bootloader would need 36 KiB of this instruction set.
 
 use crate::board::VirtBoard;
-use crate::keeper::ByTimer;
 use crate::boot_memory::{LOADER_RAM, public_key, testers};
+use crate::keeper::ByTimer;
 use crate::program_flash::{BEGIN, ProgramFlash};
 use crate::slot::boot_registers;
 use core::sync::atomic::Ordering::Relaxed;

@@ -21,8 +21,8 @@ pub(crate) mod run;
 
 pub use run::Peripherals;
 
-use crate::interrupts;
 use crate::hart::{self, CARRIER};
+use crate::interrupts;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use ring::Ring;
 use tandem_board::{

@@ -180,7 +180,9 @@ impl Peripherals {
             if hart::cycles().wrapping_sub(before) > YIELD_CYCLES {
                 continue;
             }
-            let timers = (0..CARRIER).map(interrupts::timer).filter(|timer| *timer > now);
+            let timers = (0..CARRIER)
+                .map(interrupts::timer)
+                .filter(|timer| *timer > now);
             match interrupts::settable(timers.fold(deadline, u64::min)) {
                 Some(next) => interrupts::jump_to(next),
                 // The carrier must sleep, so that the emulator advances the clock.
