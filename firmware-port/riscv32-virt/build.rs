@@ -17,7 +17,7 @@ fn main() {
     for bin in bins.flatten() {
         let name = bin.file_name().to_string_lossy().replace(".rs", "");
         let slot = IN_SLOTS.iter().find(|(image, _)| *image == name);
-        let script = slot.map_or("link.x", |(_, script)| script);
+        let script = slot.map_or("../virt/link.x", |(_, script)| script);
         println!("cargo:rustc-link-arg-bin={name}=-L{folder}");
         println!("cargo:rustc-link-arg-bin={name}=-T{folder}/{script}");
     }
@@ -26,12 +26,14 @@ fn main() {
         println!("cargo:rustc-link-arg-bin=bench={archive}");
     }
     for file in [
-        "link.x",
+        "../virt/link.x",
         "link-slot.x",
         "slot-a.x",
         "slot-b.x",
         "bank.x",
-        "src/start.S",
+        "../virt/start.S",
+        "src/registers.S",
+        "src/slot.S",
         "src/bin",
     ] {
         println!("cargo:rerun-if-changed={file}");

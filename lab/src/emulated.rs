@@ -9,7 +9,8 @@ use anyhow::{Context as _, ensure};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board::SystemId;
 use tandem_board_qemu::{
-    BootFrom, EmulatedWorld, LOADER_RAM_AT, MachineOptions, PROGRAM_FLASH_AT, WorldLayout,
+    BootFrom, EmulatedWorld, ImageMachine, LOADER_RAM_AT, MachineOptions, PROGRAM_FLASH_AT,
+    WorldLayout,
 };
 use tandem_boot::{Bank, FlashRegion, ImageTarget};
 use tandem_boot_host::{FlashFile, Image, ReleaseInfo, SigningKey, records};
@@ -118,6 +119,12 @@ impl Images {
                 image("slot-controller-b", None)?,
             ],
         })
+    }
+
+    /// Returns the machine that the images are built for.
+    fn machine(&self) -> anyhow::Result<ImageMachine> {
+        let (Self::Alone(image) | Self::Booting { rom: image, .. }) = self;
+        ImageMachine::of(image).with_context(|| image.display().to_string())
     }
 
     /// Starts the machines, with program flashes in `folder`. Also returns the update that the
@@ -252,16 +259,19 @@ fn drive(
         let of_slots = log.lines().filter(|line| line.contains(" slot"));
         of_slots.for_each(|line| eprintln!("{line}"));
     }
+    let machine = images.machine()?;
     let summary = format!(
-        "firmware in {} (QEMU, riscv32): time is the emulator's, an instruction takes 1 ns; the run \
-         took {:.0} s of this machine's",
-        match layout {
-            WorldLayout::One => "one emulated machine, core 0 without a kernel",
-            WorldLayout::Two => match images {
-                Images::Alone(_) => "two emulated machines, core 0 under FreeRTOS",
-                Images::Booting { .. } =>
-                    "two emulated machines, started by their bootloaders, core 0 under FreeRTOS",
-            },
+        "firmware in {}, core 0 {} (QEMU, {machine}): time is the emulator's, an instruction takes \
+         1 ns; the run took {:.0} s of this machine's",
+        match (layout, images) {
+            (WorldLayout::One, _) => "one emulated machine",
+            (WorldLayout::Two, Images::Alone(_)) => "two emulated machines",
+            (WorldLayout::Two, Images::Booting { .. }) =>
+                "two emulated machines, started by their bootloaders",
+        },
+        match layout == WorldLayout::Two && machine.has_kernel() {
+            true => "under FreeRTOS",
+            false => "without a kernel",
         },
         begin.elapsed().as_secs_f64()
     );

@@ -7,12 +7,16 @@
 )]
 
 use std::fs;
-use std::io::{BufRead as _, BufReader};
+use std::io::{self, BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+
+/// How the lines of a run begin that name its emulators. Other lines may come before them.
+const EMULATOR: &str = "emulator of ";
+const OF_A: &str = "emulator of A: process ";
 
 /// Longer than any run of these tests takes on a busy machine.
 const WATCHDOG: Duration = Duration::from_secs(180);
@@ -56,14 +60,12 @@ fn frames(out: &Path) -> Vec<String> {
 }
 
 /// Both systems drive in one machine, and a second run produces exactly the same frames.
-#[test]
-#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
-fn a_run_of_the_firmware_is_the_same_each_time() {
+fn drives_alike_each_time(chosen: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
     let outs: [PathBuf; 2] = ["first", "second"].map(|name| folder.path().join(name));
     for out in &outs {
         let arguments = ["--board", "qemu-one", "--duration", "2", "--quiet"];
-        end(tandem(&arguments, out).spawn().unwrap());
+        end(tandem(&arguments, out).args(chosen).spawn().unwrap());
     }
     let [first, second] = outs.each_ref().map(|out| frames(out));
     assert!(first.len() > 1_000, "only {} frames", first.len());
@@ -72,6 +74,20 @@ fn a_run_of_the_firmware_is_the_same_each_time() {
     assert_eq!(metrics["complete"], true);
     assert_eq!(metrics["collisions"], 0);
     assert_eq!(metrics["takeovers"], Value::Array(vec![]));
+}
+
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_run_of_the_firmware_is_the_same_each_time() {
+    drives_alike_each_time(&[]);
+}
+
+/// The image says for which machine it is.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_run_on_the_64_bit_machine_is_the_same_each_time() {
+    let images = std::env::var("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
+    drives_alike_each_time(&["--firmware", &format!("{images}/rv64-controller")]);
 }
 
 /// T-CHIP-5, T-RED-4: each system runs in its own emulator. When the master's is killed, B drives.
@@ -83,11 +99,8 @@ fn the_other_emulator_takes_over_from_one_that_is_killed() {
     let arguments = ["--board", "qemu", "--duration", "10"];
     let mut run = tandem(&arguments, &out).spawn().unwrap();
     let mut said = BufReader::new(run.stderr.take().unwrap()).lines();
-    let line = said.next().unwrap().unwrap();
-    let pid = line
-        .strip_prefix("emulator of A: process ")
-        .expect(&line)
-        .to_owned();
+    let of_a = |line: io::Result<String>| Some(line.unwrap().strip_prefix(OF_A)?.to_owned());
+    let pid = said.find_map(of_a).expect("the run names its emulators");
     // B drives at the end, even if A is killed before it drives. Usually A drives first.
     std::thread::sleep(Duration::from_secs(3));
     let kill = Command::new("kill").args(["-9", &pid]).status().unwrap();
@@ -153,8 +166,11 @@ fn emulators_end_when_the_run_is_killed() {
             .spawn()
             .unwrap();
         let said = BufReader::new(run.stderr.take().unwrap()).lines();
+        let emulators = said
+            .map(Result::unwrap)
+            .filter(|line| line.starts_with(EMULATOR));
         let pid = |line: String| line.rsplit_once(' ').unwrap().1.parse::<u32>().unwrap();
-        let pids: Vec<u32> = said.take(2).map(|line| pid(line.unwrap())).collect();
+        let pids: Vec<u32> = emulators.take(2).map(pid).collect();
         std::thread::sleep(Duration::from_millis(after_ms));
         let running = |pid: &u32| {
             let state = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
@@ -185,7 +201,7 @@ fn both_emulated_systems_are_updated_while_they_drive() {
         "--scenario",
         "free-lane",
         "--duration",
-        "110",
+        "160",
     ];
     let mut command = tandem(&scenario, &out);
     let run = command.args(["--reintegrate", "--update", "2"]).output();

@@ -2,6 +2,7 @@
 
 mod an521;
 mod example;
+mod riscv64;
 mod size;
 
 use crate::{cargo, read_json, succeed, target_dir, write_json};
@@ -54,7 +55,7 @@ pub(crate) enum Firmware {
     },
     /// Build and run the images for two Cortex-M33 (QEMU's mps2-an521)
     An521,
-    /// Run the conformance suite on the board, and drive with the whole controller as firmware
+    /// Run the conformance suite on both RISC-V boards, and drive with the controller as firmware
     Test {
         /// Leave out the update of both systems while they drive, which takes over a minute
         #[arg(long)]
@@ -182,7 +183,7 @@ fn build(root: &Path) -> Result<()> {
     cargo_build(root, &small)?;
     let built = build_dir(root).join(TARGET).join("boot").join(BANK_LOADER);
     fs::copy(&built, released(root, BANK_LOADER)).with_context(|| built.display().to_string())?;
-    Ok(())
+    riscv64::build(root)
 }
 
 /// The image for a bank of the program flash.
@@ -237,6 +238,7 @@ fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<St
 
 fn test(root: &Path, quick: bool) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
+    riscv64::conformance(root)?;
     // The whole workspace, as in all other tests: with one package cargo would rebuild much more.
     let mut command = cargo(root, &["test", "--workspace"]);
     let files = [

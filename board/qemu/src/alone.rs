@@ -2,10 +2,11 @@
 
 use std::fs::File;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::machine::{MachineError, QEMU};
+use crate::emulator::ImageMachine;
+use crate::machine::MachineError;
 
 /// Longer than any such image runs, even on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -25,8 +26,8 @@ impl Drop for Emulator {
 /// of virtual time, and time skips ahead when all harts sleep. So all runs are the same.
 ///
 /// # Errors
-/// [`MachineError::Start`] or [`MachineError::Pipes`]; [`MachineError::Ended`] if the exit status
-/// is not 0; [`MachineError::Hangs`] after two minutes.
+/// [`MachineError::Image`], [`MachineError::Start`] or [`MachineError::Pipes`];
+/// [`MachineError::Ended`] if the exit status is not 0; [`MachineError::Hangs`] after two minutes.
 pub fn run_to_end(image: &Path) -> Result<String, MachineError> {
     let folder = tempfile::Builder::new()
         .prefix("tandem-qemu-")
@@ -35,9 +36,9 @@ pub fn run_to_end(image: &Path) -> Result<String, MachineError> {
     let path = folder.path().join("log");
     let log = File::create(&path).map_err(MachineError::Pipes)?;
     let errors = log.try_clone().map_err(MachineError::Pipes)?;
-    let mut command = Command::new(QEMU);
+    let machine = ImageMachine::of(image).map_err(MachineError::Image)?;
+    let mut command = machine.command();
     command
-        .args(["-machine", "virt", "-smp", "7", "-bios", "none"])
         .args(["-display", "none", "-monitor", "none", "-serial", "stdio"])
         .args(["-icount", "shift=0,sleep=off", "-kernel"])
         .arg(image)

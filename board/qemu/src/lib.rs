@@ -10,10 +10,12 @@
 
 mod alone;
 mod bridge;
+mod emulator;
 mod machine;
 mod world;
 
 pub use alone::run_to_end;
+pub use emulator::ImageMachine;
 pub use machine::{
     BootFrom, LOADER_RAM_AT, Machine, MachineError, MachineOptions, PROGRAM_FLASH_AT,
 };

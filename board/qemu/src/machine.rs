@@ -5,7 +5,7 @@ use std::io::{self, PipeReader, PipeWriter, Read as _, Seek as _, SeekFrom, Writ
 use std::os::unix::fs::symlink;
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus};
+use std::process::{Child, ExitStatus};
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, poll};
@@ -13,7 +13,8 @@ use tandem_board::SystemId;
 use tandem_cosim::{ITEM_WORDS, Item, MAGIC, MAX_WORDS, REPORT_WORDS, Report};
 use tempfile::TempDir;
 
-pub(crate) const QEMU: &str = "qemu-system-riscv32";
+use crate::emulator::ImageMachine;
+
 /// Address from which the firmware reads its straps.
 const STRAPS_AT: u32 = 0x8090_0000;
 /// Address of the public key that the bootloader trusts.
@@ -31,8 +32,11 @@ const LOOK_MS: i64 = 50;
 #[derive(Debug, thiserror::Error)]
 pub enum MachineError {
     /// The emulator could not be started.
-    #[error("cannot start {QEMU} (apt-get install --no-install-recommends qemu-system-misc)")]
+    #[error("cannot start QEMU (apt-get install --no-install-recommends qemu-system-misc)")]
     Start(#[source] io::Error),
+    /// The image cannot be read, or is for no machine that is known here.
+    #[error("the image cannot be used")]
+    Image(#[source] io::Error),
     /// The pipes could not be made.
     #[error("cannot make the pipes to the emulator")]
     Pipes(#[source] io::Error),
@@ -92,11 +96,12 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Starts the image with these systems in it. In a machine with a single system, core 0 runs
-    /// its tasks under FreeRTOS. `BootFrom` is for an image that boots.
+    /// Starts the image with these systems in it, on the machine that it is built for. In a machine
+    /// of 32 bits with a single system, core 0 runs its tasks under FreeRTOS. `BootFrom` is for an
+    /// image that boots.
     ///
     /// # Errors
-    /// [`MachineError::Start`] or [`MachineError::Pipes`].
+    /// [`MachineError::Image`], [`MachineError::Start`] or [`MachineError::Pipes`].
     pub fn start(
         image: &Path,
         systems: &[SystemId],
@@ -116,10 +121,10 @@ impl Machine {
                 .map_err(MachineError::Pipes)?;
         }
         let mask: u32 = systems.iter().map(|system| 1 << system.index()).sum();
-        let mut command = Command::new(QEMU);
+        let machine = ImageMachine::of(image).map_err(MachineError::Image)?;
+        let mut command = machine.command();
         command
             .current_dir(folder.path())
-            .args(["-machine", "virt", "-smp", "7", "-bios", "none"])
             .args([
                 "-display", "none", "-monitor", "none", "-serial", "file:log",
             ])

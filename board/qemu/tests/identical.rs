@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use recording::{DRIVE_MS, record};
+use tandem_board_qemu::ImageMachine;
 use tandem_golden::play;
 
 #[path = "../../../tests/golden/recording.rs"]
@@ -20,8 +21,11 @@ const RECORDING_AT: u32 = 0x8100_0000;
 /// Address of the strap that contains the length of the recording.
 const LENGTH_AT: u32 = 0x8090_0004;
 
-/// Returns the firmware's result for these frames.
-fn as_firmware(recording: &[u32]) -> String {
+/// The image of each board.
+const IMAGES: [&str; 2] = ["golden-replay", "rv64-golden-replay"];
+
+/// Returns a board's result for these frames.
+fn as_firmware(image: &str, recording: &[u32]) -> String {
     let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
     let folder = tempfile::tempdir().unwrap();
     let words = [&[recording.len() as u32], recording].concat();
@@ -32,17 +36,12 @@ fn as_firmware(recording: &[u32]) -> String {
         "loader,file={},addr={RECORDING_AT:#x},force-raw=on",
         file.display()
     );
+    let image = PathBuf::from(images).join(image);
+    let emulator = ImageMachine::of(&image).unwrap().command();
     let output = Command::new("timeout")
-        .args([
-            "120",
-            "qemu-system-riscv32",
-            "-machine",
-            "virt",
-            "-smp",
-            "1",
-            "-bios",
-            "none",
-        ])
+        .arg("120")
+        .arg(emulator.get_program())
+        .args(emulator.get_args())
         .args([
             "-display", "none", "-monitor", "none", "-serial", "stdio", "-device", &loader,
         ])
@@ -51,7 +50,7 @@ fn as_firmware(recording: &[u32]) -> String {
             &format!("loader,addr={LENGTH_AT:#x},data={DRIVE_MS},data-len=4"),
         ])
         .args(["-icount", "shift=0,sleep=off", "-kernel"])
-        .arg(PathBuf::from(images).join("golden-replay"))
+        .arg(image)
         .stdin(Stdio::null())
         .output()
         .unwrap();
@@ -67,13 +66,15 @@ fn outputs_of_the_functions_are_bit_identical_on_host_and_firmware() {
         let recording = record(scenario);
         let here = play(&recording, DRIVE_MS);
         assert!(here.cycles > 250, "{here:?}");
-        let there = as_firmware(&recording);
-        println!("{scenario}: {} words\n{here:?}\n{there}", recording.len());
-        assert_eq!(
-            there.lines().next(),
-            Some(format!("{here:?}").as_str()),
-            "{scenario}"
-        );
+        for image in IMAGES {
+            let there = as_firmware(image, &recording);
+            println!("{scenario}: {} words\n{here:?}\n{there}", recording.len());
+            assert_eq!(
+                there.lines().next(),
+                Some(format!("{here:?}").as_str()),
+                "{scenario}, {image}"
+            );
+        }
         // Wrong bits in ten frames, some of which the functions read, change the digest: so the
         // comparison can fail.
         let mut other = recording;

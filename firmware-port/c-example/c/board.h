@@ -4,7 +4,7 @@
 
 #include <stdint.h>
 
-/* The LMU of system A; see riscv32-virt/link.x. */
+/* The LMU of system A; see virt/link.x. */
 #define LMU ((void *)0x80800000u)
 #define LMU_BYTES 32768u
 

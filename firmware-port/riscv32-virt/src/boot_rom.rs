@@ -3,10 +3,11 @@
 //! verifies signatures, as the security module of an AURIX does: with that and its drivers, the
 //! bootloader would need 36 KiB of this instruction set.
 
-use crate::board::{ByTimer, VirtBoard};
-use crate::memory::{LOADER_RAM, public_key, testers};
-use crate::peripherals::system;
+use crate::board::VirtBoard;
+use crate::boot_memory::{LOADER_RAM, public_key, testers};
+use crate::keeper::ByTimer;
 use crate::program_flash::{BEGIN, ProgramFlash};
+use crate::slot::boot_registers;
 use core::sync::atomic::Ordering::Relaxed;
 use embedded_storage::nor_flash::ReadNorFlash as _;
 use tandem_board::{Board, Instant, MonotonicCounter as _, ResetRequest, Supply};
@@ -17,7 +18,7 @@ use tandem_boot::{
 
 /// Starts the bootloader in the flash, if there is one, and returns if there is none.
 pub fn start_from_flash(board: &VirtBoard) {
-    let registers = system(board.identity().system);
+    let registers = boot_registers(board.identity().system);
     let asked = bank_of(registers.asked_bank.swap(0, Relaxed));
     let Some(bank) = asked.or_else(|| rom_choice(&mut ProgramFlash)) else {
         return;
@@ -69,7 +70,7 @@ fn rom_verify(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool {
 /// Runs the bootloader on core 0 until it starts an application. `bank`: the one that runs; `None`
 /// if it is the one that the boot ROM has copied.
 pub fn bootloader(board: &VirtBoard, bank: Option<Bank>) -> Launch {
-    let registers = system(board.identity().system);
+    let registers = boot_registers(board.identity().system);
     let copied = || bank_of(registers.bank.load(Relaxed));
     let bank = bank.or_else(copied).unwrap_or(Bank::Primary);
     let keys = [public_key()];
@@ -106,7 +107,7 @@ pub fn launch(board: &VirtBoard, launch: &Launch) {
 #[must_use]
 pub fn desk(board: &VirtBoard) -> BootDesk<'static, ProgramFlash, OneTimeWords<ProgramFlash>> {
     // Both slots have one entry for all cores, inside the slot.
-    let entries = &system(board.identity().system).entries;
+    let entries = &boot_registers(board.identity().system).entries;
     let at = entries[0].load(Relaxed).wrapping_sub(BEGIN);
     let running = match ImageTarget::at(at) {
         Some(ImageTarget::Application(slot)) => slot,

@@ -10,6 +10,28 @@ const MTIME: usize = 0x0200_BFF8;
 
 /// Length of one tick in nanoseconds.
 pub const TICK_NS: u64 = 100;
+/// The doorbell's bit in `mie` and `mip`: the machine software interrupt.
+pub(crate) const DOORBELL: usize = 1 << 3;
+/// The timer's bit in `mie` and `mip`.
+pub(crate) const TIMER: usize = 1 << 7;
+
+/// Returns the time of the CLINT, in its ticks of 100 ns.
+#[inline]
+#[must_use]
+pub fn time() -> u64 {
+    loop {
+        let (high, low, again): (u32, u32, u32);
+        // SAFETY: reads counters.
+        unsafe {
+            asm!("rdtimeh {}", "rdtime {}", "rdtimeh {}",
+                out(reg) high, out(reg) low, out(reg) again,
+                options(nomem, nostack, preserves_flags));
+        }
+        if high == again {
+            return u64::from(high) << 32 | u64::from(low);
+        }
+    }
+}
 
 /// Raises the software interrupt of a hart. The hart that takes it sees everything that this hart
 /// wrote before.
@@ -34,7 +56,7 @@ pub fn clear(hart: usize) {
     }
 }
 
-/// Sets the time of the timer interrupt of this hart, in ticks of [`time`](crate::hart::time).
+/// Sets the time of the timer interrupt of this hart, in ticks of [`time`].
 #[inline]
 pub fn set_timer(hart: usize, ticks: u64) {
     let register = (MTIMECMP + 8 * (hart % HARTS)) as *mut u32;
@@ -56,10 +78,13 @@ pub fn timer(hart: usize) -> u64 {
     unsafe { u64::from(read_volatile(register.add(1))) << 32 | u64::from(read_volatile(register)) }
 }
 
-/// Advances the clock of all harts to `ticks`, below 2^32.
-///
-/// A write to the lower word clears the upper word in the emulator, so the clock must not be set
-/// after 429 s.
+/// Returns a time to which the clock can be set, `None` after 429 s: a write to the lower word
+/// clears the upper word in the emulator.
+pub(crate) fn settable(ticks: u64) -> Option<u32> {
+    u32::try_from(ticks).ok()
+}
+
+/// Advances the clock of all harts to `ticks`.
 pub(crate) fn jump_to(ticks: u32) {
     // SAFETY: the lower word of the clock; timers within the skipped time expire at once.
     unsafe { write_volatile(MTIME as *mut u32, ticks) };

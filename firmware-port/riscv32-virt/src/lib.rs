@@ -8,59 +8,23 @@
 
 extern crate alloc;
 
-pub mod board;
+mod boot_memory;
 pub mod boot_rom;
 pub mod clint;
-pub mod controller;
-pub mod doorbell;
-pub mod exit;
-pub mod hart;
 pub mod heap;
-#[path = "../../log.rs"]
-mod log;
+pub mod keeper;
+pub mod kernel;
 pub mod measure;
-pub mod memory;
-pub mod peripherals;
 pub mod program_flash;
-mod semihosting;
-pub mod trap;
-pub mod uart;
+mod slot;
+#[path = "../../virt/mod.rs"]
+mod virt;
 
-use tandem_shm::mailbox::TaskId;
+pub(crate) use clint as interrupts;
+pub use virt::*;
 
-/// Returns the value of a result. The result is an error only if the memory layout is wrong.
-///
-/// # Panics
-/// If the result is an error.
-#[track_caller]
-pub fn must<T, E>(result: Result<T, E>) -> T {
-    match result {
-        Ok(value) => value,
-        Err(_) => panic!("the program is not laid out as it should be"),
-    }
-}
-
-/// Returns task `number` of a mailbox, for use in constants.
-///
-/// # Panics
-/// If there is no such task.
-#[must_use]
-pub const fn task(number: u8) -> TaskId {
-    match TaskId::new(number) {
-        Some(task) => task,
-        None => panic!("not a task number"),
-    }
-}
-
-/// Names the function that each hart calls after the start, and after each reset of the hart.
-#[macro_export]
-macro_rules! entry {
-    ($main:path) => {
-        #[allow(unsafe_code, reason = "the start-up code finds it by its name")]
-        #[unsafe(no_mangle)]
-        extern "C" fn tandem_hart_main(hart: usize) -> ! {
-            let main: fn(usize) -> ! = $main;
-            main(hart)
-        }
-    };
-}
+core::arch::global_asm!(
+    include_str!("registers.S"),
+    include_str!("../../virt/start.S"),
+    include_str!("slot.S")
+);

@@ -1,22 +1,8 @@
-//! Runs the driving functions over recorded frames in the emulator's memory, and prints the digest
-//! of their outputs. A host prints the same digest. Strap `First`: duration in milliseconds.
+//! Runs the driving functions over recorded frames: see [`golden_replay`].
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
 
-use tandem_board_riscv32_virt::memory::{Strap, strap};
-use tandem_board_riscv32_virt::{entry, exit, hart, log, memory};
+use tandem_board_riscv32_virt::{entry, golden_replay};
 
-entry!(main);
-
-fn main(hart: usize) -> ! {
-    if hart != 0 {
-        hart::park()
-    }
-    let recording = memory::recording();
-    let begin = hart::cycles();
-    let digest = tandem_golden::play(recording, strap(Strap::First).into());
-    log!("{digest:?}");
-    log!("{} kilocycles", hart::cycles().wrapping_sub(begin) / 1_000);
-    exit::exit(0)
-}
+entry!(golden_replay::main);

@@ -1,8 +1,9 @@
 //! One hart: its number, its interrupts, its counters, and how it yields the emulator's turn.
 
-use core::arch::{asm, global_asm};
+use core::arch::asm;
 
-global_asm!(include_str!("start.S"));
+pub use crate::interrupts::time;
+pub(crate) use crate::interrupts::{DOORBELL, TIMER};
 
 /// Length of tables by hart: three for each system, the carrier, and one more, so that a mask
 /// keeps a number in range.
@@ -12,8 +13,6 @@ pub const HARTS: usize = 8;
 pub const CARRIER: usize = 6;
 
 const MSTATUS_MIE: usize = 1 << 3;
-pub(crate) const MSI: usize = 1 << 3;
-pub(crate) const MTI: usize = 1 << 7;
 
 /// Returns the number of this hart.
 #[inline]
@@ -29,29 +28,11 @@ pub fn number() -> usize {
 #[inline]
 #[must_use]
 pub fn cycles() -> u32 {
-    let cycles: u32;
+    let cycles: usize;
     // Without `nomem`, so that measured code does not move across the read.
     // SAFETY: reads a counter.
     unsafe { asm!("csrr {}, mcycle", out(reg) cycles, options(nostack, preserves_flags)) };
-    cycles
-}
-
-/// Returns the time of the CLINT, in its ticks of 100 ns.
-#[inline]
-#[must_use]
-pub fn time() -> u64 {
-    loop {
-        let (high, low, again): (u32, u32, u32);
-        // SAFETY: reads counters.
-        unsafe {
-            asm!("rdtimeh {}", "rdtime {}", "rdtimeh {}",
-                out(reg) high, out(reg) low, out(reg) again,
-                options(nomem, nostack, preserves_flags));
-        }
-        if high == again {
-            return u64::from(high) << 32 | u64::from(low);
-        }
-    }
+    cycles as u32
 }
 
 /// Switches the interrupts of this hart on.
@@ -82,17 +63,6 @@ pub fn without_interrupts<R>(work: impl FnOnce() -> R) -> R {
         interrupts_on();
     }
     result
-}
-
-unsafe extern "C" {
-    fn tandem_jump(hart: usize, entry: u32) -> !;
-}
-
-/// Clears the stack of this hart and jumps.
-pub(crate) fn leave(hart: usize, entry: u32) -> ! {
-    // SAFETY: the bootloader has checked the image at `entry`. No code uses this image's stack
-    // afterwards, and it shares only atomics with other harts.
-    unsafe { tandem_jump(hart, entry) }
 }
 
 /// Enables these interrupts on this hart.

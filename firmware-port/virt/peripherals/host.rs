@@ -5,7 +5,7 @@ use super::{SystemRegisters, ethernet, now, system};
 use crate::exit::exit;
 use crate::hart::time;
 use crate::semihosting::{File, HostError};
-use crate::{clint, log};
+use crate::{interrupts, log};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
 use tandem_board::{CoreAddress, CoreId, Instant, Line, RoleLamp, SystemId};
@@ -15,7 +15,7 @@ use tandem_cosim::{
 };
 use tandem_peripherals::codec::{FRAME_WORDS, packet_words};
 
-const PERIOD_TICKS: u64 = PERIOD_NS / clint::TICK_NS;
+const PERIOD_TICKS: u64 = PERIOD_NS / interrupts::TICK_NS;
 /// The status of the machine if the vehicle process has ended or its answer is not valid.
 const ABANDONED: u16 = 3;
 

@@ -1,6 +1,6 @@
 //! The data flash of a system: RAM that behaves like NOR flash, until the machine ends.
 
-use crate::clint::TICK_NS;
+use crate::interrupts::TICK_NS;
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
 use tandem_board::{FlashError, Instant};
 use tandem_peripherals::data_flash::{ERASED, Operation, SIZE, range};

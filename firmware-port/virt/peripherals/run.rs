@@ -5,7 +5,7 @@ use super::{core, ethernet, interrupt, now, set_fault, system};
 use crate::exit::exit;
 use crate::hart::{self, CARRIER, time};
 use crate::memory::{self, Strap, stack_used, strap};
-use crate::{clint, doorbell, log, trap};
+use crate::{doorbell, interrupts, log, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed};
 use tandem_board::{
     Channel, CoreAddress, CoreId, Edge, HardwareFault, Instant, Line, NetworkAddress, ResetCause,
@@ -155,7 +155,7 @@ impl Peripherals {
             .map(|which| self.supplies[which.index()].next());
         let next = supplies
             .chain(self.retries())
-            .map(|next| next.as_ns().div_ceil(clint::TICK_NS))
+            .map(|next| next.as_ns().div_ceil(interrupts::TICK_NS))
             .chain(self.host.as_ref().map(Host::due))
             .chain(self.later.map(|(at, _)| at))
             .fold(deadline, u64::min);
@@ -180,11 +180,13 @@ impl Peripherals {
             if hart::cycles().wrapping_sub(before) > YIELD_CYCLES {
                 continue;
             }
-            let timers = (0..CARRIER).map(clint::timer).filter(|timer| *timer > now);
-            match u32::try_from(timers.fold(deadline, u64::min)) {
-                Ok(next) => clint::jump_to(next),
-                // After 429 s the carrier must sleep, so that the emulator advances the clock.
-                Err(_) => {
+            let timers = (0..CARRIER)
+                .map(interrupts::timer)
+                .filter(|timer| *timer > now);
+            match interrupts::settable(timers.fold(deadline, u64::min)) {
+                Some(next) => interrupts::jump_to(next),
+                // The carrier must sleep, so that the emulator advances the clock.
+                None => {
                     doorbell::wait(Some(deadline));
                     return;
                 }
@@ -257,7 +259,7 @@ impl Peripherals {
             }
             Item::CutLevel { of, cut } => system(of).level_cut.store(cut, Relaxed),
             Item::Later { us } => {
-                let ticks = u64::from(us) * 1_000 / clint::TICK_NS;
+                let ticks = u64::from(us) * 1_000 / interrupts::TICK_NS;
                 self.later = Some((time() + ticks, None));
             }
             Item::End => {
@@ -430,7 +432,7 @@ impl Peripherals {
             }
             // Acquire pairs with the Release in `wake_on_receive`.
             if registers.wake_on_receive.load(Acquire) {
-                clint::post(receiver.index());
+                interrupts::post(receiver.index());
             }
         }
     }

@@ -1,8 +1,8 @@
 //! The interrupt handlers: the doorbell sets a flag and calls the program's handler; the timer ends
 //! the hart's turn.
 
-use crate::hart::{HARTS, MSI, MTI};
-use crate::{clint, hart};
+use crate::hart::{DOORBELL, HARTS, TIMER};
+use crate::{hart, interrupts};
 use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
 
 /// A handler, which runs in interrupt context and must never block.
@@ -59,11 +59,11 @@ pub fn on_doorbell(handler: InterruptHandler) {
     STATES[hart::number() % HARTS]
         .on_doorbell
         .store(handler as *mut (), Ordering::Relaxed);
-    hart::enable(MSI);
+    hart::enable(DOORBELL);
 }
 
 /// Sets the function that runs at the end of each turn of a hart; `None` for no function.
-pub(crate) fn on_turn(hart: usize, handler: Option<InterruptHandler>) {
+pub fn on_turn(hart: usize, handler: Option<InterruptHandler>) {
     let handler = handler.map_or(core::ptr::null_mut(), |handler| handler as *mut ());
     STATES[hart % HARTS]
         .on_turn
@@ -82,7 +82,7 @@ pub(crate) fn hold(hart: usize) {
             .incarnation
             .compare_exchange(GOES, STANDS, Ordering::Relaxed, Ordering::Relaxed);
     if taken_back.is_err() {
-        clint::post(hart);
+        interrupts::post(hart);
     }
 }
 
@@ -98,7 +98,7 @@ pub(crate) fn release(hart: usize) {
     state.held.store(false, Ordering::Relaxed);
     // Release pairs with the Acquire in `sleep_while_held`: the hart sees all preparations.
     state.incarnation.store(GOES, Ordering::Release);
-    clint::post(hart);
+    interrupts::post(hart);
 }
 
 /// Marks this hart as stopped, and clears the state of its last incarnation. Interrupts are off.
@@ -106,8 +106,8 @@ pub(crate) fn begin_held(hart: usize) {
     let state = &STATES[hart % HARTS];
     state.rung.store(false, Ordering::Relaxed);
     forget_handler(hart);
-    hart::disable(MTI);
-    hart::enable(MSI);
+    hart::disable(TIMER);
+    hart::enable(DOORBELL);
     // Release pairs with the Acquire in `stands`: the carrier sees the end of the incarnation.
     state.incarnation.store(STANDS, Ordering::Release);
 }
@@ -115,7 +115,7 @@ pub(crate) fn begin_held(hart: usize) {
 /// Sleeps until this hart is released. Interrupts are off.
 pub(crate) fn sleep_while_held(hart: usize) {
     loop {
-        clint::clear(hart);
+        interrupts::clear(hart);
         let incarnation = &STATES[hart % HARTS].incarnation;
         // Acquire pairs with the Release in `release`.
         let goes = incarnation.compare_exchange(GOES, RUNS, Ordering::Acquire, Ordering::Relaxed);
@@ -155,7 +155,7 @@ fn end_if(number: usize, state: &HartState) {
 extern "C" fn tandem_on_doorbell() {
     let number = hart::number() % HARTS;
     let state = &STATES[number];
-    clint::clear(number);
+    interrupts::clear(number);
     end_if(number, state);
     state.rung.store(true, Ordering::Relaxed);
     call(&state.on_doorbell);
@@ -176,7 +176,7 @@ extern "C" fn tandem_on_timer() {
     let number = hart::number() % HARTS;
     match STATES[number].slice.load(Ordering::Relaxed) {
         // The interrupt only ended a sleep.
-        0 => hart::disable(MTI),
+        0 => hart::disable(TIMER),
         ticks => {
             let HartState {
                 places,
@@ -200,7 +200,7 @@ extern "C" fn tandem_on_timer() {
             };
             ended_at.store(place, Ordering::Relaxed);
             repeats.store(times, Ordering::Relaxed);
-            clint::set_timer(number, hart::time() + (u64::from(ticks) << times));
+            interrupts::set_timer(number, hart::time() + (u64::from(ticks) << times));
         }
     }
 }

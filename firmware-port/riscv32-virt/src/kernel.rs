@@ -1,52 +1,37 @@
-//! The three cores of the whole controller: for a stand-alone image, and for an image in a slot.
+//! Core 0 with its tasks under FreeRTOS, if the machine has one system: in every incarnation.
 //!
-//! If the machine has one system, its core 0 runs its tasks under FreeRTOS, in every incarnation.
 //! The kernel's statics exist once in an image, so with both systems in one machine each core 0
-//! runs its tasks to completion instead. Cores 1 and 2 have no kernel.
-//!
-//! Strap `First`: the systems in this machine, 1 A, 2 B, 3 both.
-//! Strap `Second`, bit 0: a system that returns becomes the standby of the running one. Bit 1: the
-//! timing profile is `chip`, otherwise `rt`. The limits of `chip` hold only with both systems in
-//! one machine: between two machines, edges and datagrams take up to 2 ms.
-//! Strap `Third`: an overload of core 0's tasks for tests, see [`overload`]; 0 means none.
+//! runs its tasks to completion instead. Cores 1 and 2 have no kernel. The straps are those of
+//! [`controller`], and strap `Third`: an overload of core 0's tasks for tests, see [`overload`]; 0
+//! means none.
 
 use crate::board::VirtBoard;
+use crate::controller::{self, config, go};
 use crate::memory::{Strap, strap};
 use crate::{boot_rom, doorbell, heap, log, trap};
 use alloc::boxed::Box;
 use core::sync::atomic::AtomicU32;
 use core::time::Duration;
 use tandem_board::{Board, CoreId};
-use tandem_cores::core0::{Core0, Core0Task};
-use tandem_cores::core1::Core1;
+use tandem_cores::core0::Core0Task;
 use tandem_cores::core2::Core2;
-use tandem_cores::{Config, Core};
 use tandem_rtos::Kernel;
 use tandem_runtime::{Overload, RuntimeOptions};
 
 /// Value of strap `First`.
 const BOTH_SYSTEMS: u32 = 3;
-/// Bits of strap `Second`.
-const REINTEGRATE: u32 = 1;
-const CHIP: u32 = 2;
 /// Bytes of the stack of each task of core 0.
 const STACK_BYTES: usize = 16 << 10;
 /// The heap has room for the stacks, and for what core 0 keeps beside them.
 const _: () = assert!(heap::BYTES >= Core0Task::ALL.len() * STACK_BYTES + (32 << 10));
-/// A turn, 50 us: the emulator runs one hart at a time, so a long turn delays the other harts.
-pub const SLICE_TICKS: u32 = 500;
 /// Number of doorbells that were held back.
 static HELD_BACK: AtomicU32 = AtomicU32::new(0);
 
 /// Runs one incarnation of one core.
 pub fn core(board: &VirtBoard) {
     match board.identity().core {
-        CoreId::CONTROL if strap(Strap::First) == BOTH_SYSTEMS => {
-            go(board, Core0::new(board, config()))
-        }
-        CoreId::CONTROL => under_kernel(board),
-        CoreId::PERCEPTION => go(board, Core1::new(board)),
-        _ => go(board, Core2::new(board)),
+        CoreId::CONTROL if strap(Strap::First) != BOTH_SYSTEMS => under_kernel(board),
+        _ => controller::core(board),
     }
 }
 
@@ -57,16 +42,6 @@ pub fn core_in_slot(board: &VirtBoard) {
     }
     let desk = boot_rom::desk(board);
     go(board, Core2::with_desk(board, desk))
-}
-
-fn config() -> Config {
-    let options = strap(Strap::Second);
-    let mut config = match options & CHIP {
-        0 => Config::rt(),
-        _ => Config::chip(),
-    };
-    config.redundancy.reintegrate = options & REINTEGRATE != 0;
-    config
 }
 
 /// Returns the overload from strap `Third`: bits 0 to 7 are the task's index in the table plus 1,
@@ -117,12 +92,5 @@ fn under_kernel(board: &VirtBoard) -> ! {
     match tandem_runtime::start(kernel, board, config(), options, trap::end_if_held) {
         Ok(never) => match never {},
         Err(error) => panic!("{error}"),
-    }
-}
-
-fn go(board: &VirtBoard, mut core: impl Core) -> ! {
-    loop {
-        let deadline = core.poll();
-        board.wait(deadline);
     }
 }

@@ -1,14 +1,12 @@
 //! The board of one core, for one of its incarnations.
 
-mod keeper;
 mod parts;
 
-pub use keeper::ByTimer;
 pub use parts::{VirtCan, VirtFlash, VirtLines, VirtLink, VirtNetwork, VirtSupply};
 
 use crate::hart::CARRIER;
 use crate::peripherals::{self, Peripherals, system};
-use crate::{clint, doorbell, hart, memory, trap};
+use crate::{doorbell, hart, interrupts, memory, trap};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::{Relaxed, Release};
 use tandem_board::{
@@ -52,7 +50,7 @@ impl VirtBoard {
 
 /// Converts an instant to ticks of the clock, rounded up; `None` for [`Instant::NEVER`].
 fn ticks(at: Instant) -> Option<u64> {
-    (at != Instant::NEVER).then(|| at.as_ns().div_ceil(clint::TICK_NS))
+    (at != Instant::NEVER).then(|| at.as_ns().div_ceil(interrupts::TICK_NS))
 }
 
 impl Board for VirtBoard {
@@ -68,7 +66,7 @@ impl Board for VirtBoard {
     }
 
     fn now(&self) -> Instant {
-        Instant::from_ns(hart::time() * clint::TICK_NS)
+        Instant::from_ns(hart::time() * interrupts::TICK_NS)
     }
 
     fn lmu(&self) -> &[AtomicU32] {
@@ -76,7 +74,7 @@ impl Board for VirtBoard {
     }
 
     fn ring(&self, to: CoreId) {
-        clint::post(CoreAddress::new(self.identity.system, to).index());
+        interrupts::post(CoreAddress::new(self.identity.system, to).index());
     }
 
     fn release_core(&self, core: CoreId) {
@@ -169,7 +167,7 @@ pub fn run_in_slot(hart: usize, slice: u32, core: fn(&VirtBoard)) -> ! {
 }
 
 fn begin(address: CoreAddress, slice: u32, core: fn(&VirtBoard)) -> ! {
-    hart::enable(hart::MSI);
+    hart::enable(hart::DOORBELL);
     doorbell::set_slice(slice);
     hart::interrupts_on();
     core(&VirtBoard::new(address));
@@ -184,35 +182,5 @@ impl VirtBoard {
     pub fn lamp(&self) -> RoleLamp {
         let lamp = &system(self.identity.system).lamp;
         RoleLamp::from_code(lamp.load(Relaxed)).unwrap_or(RoleLamp::Starting)
-    }
-}
-
-/// The jump from this image to one in a slot. T-BOOT-7
-impl VirtBoard {
-    /// Sets the start addresses of this system's cores; `None` for a core that does not start.
-    pub fn set_entries(&self, entries: [Option<u32>; CoreId::COUNT]) {
-        let registers = system(self.identity.system);
-        for (register, entry) in registers.entries.iter().zip(entries) {
-            register.store(entry.unwrap_or(0), Relaxed);
-        }
-    }
-
-    /// Resets CAN module and interrupts, and jumps to this core's start address, if it has one.
-    pub fn jump(&self) {
-        let place = self.identity.address();
-        let entry = system(place.system).entries[place.core.index()].load(Relaxed);
-        if entry == 0 {
-            return;
-        }
-        hart::interrupts_off();
-        // The CAN module: discard unsent frames, and received frames, which are for the bootloader.
-        let registers = peripherals::core(place);
-        registers.wake_on_receive.store(false, Relaxed);
-        registers.transmit.discard();
-        while registers.receive.take().is_some() {}
-        trap::forget_handler(place.index());
-        clint::set_timer(place.index(), u64::MAX);
-        doorbell::take();
-        hart::leave(place.index(), entry);
     }
 }

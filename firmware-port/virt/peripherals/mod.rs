@@ -21,8 +21,8 @@ pub(crate) mod run;
 
 pub use run::Peripherals;
 
-use crate::clint;
 use crate::hart::{self, CARRIER};
+use crate::interrupts;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use ring::Ring;
 use tandem_board::{
@@ -86,12 +86,6 @@ pub(crate) struct SystemRegisters {
     pub(crate) faults: AtomicU32,
     /// The cores that core 0 has released and that have not started yet, one bit each.
     pub(crate) released: AtomicU32,
-    /// Start address of each core in the slot that booted; 0 for a core that does not start.
-    pub(crate) entries: [AtomicU32; CoreId::COUNT],
-    /// The bank of the bootloader that the boot ROM has started, from 1 on; 0 for none.
-    pub(crate) bank: AtomicU32,
-    /// The bank to start after the next reset, likewise.
-    pub(crate) asked_bank: AtomicU32,
 }
 
 impl CoreRegisters {
@@ -200,15 +194,15 @@ pub(crate) fn set_fault(of: SystemId, fault: HardwareFault, present: bool) {
 
 /// Returns the current time.
 pub(crate) fn now() -> Instant {
-    Instant::from_ns(hart::time() * clint::TICK_NS)
+    Instant::from_ns(hart::time() * interrupts::TICK_NS)
 }
 
 /// Notifies the carrier of new work.
 pub(crate) fn call() {
-    clint::post(CARRIER);
+    interrupts::post(CARRIER);
 }
 
 /// Interrupts core 0 of a system.
 pub(crate) fn interrupt(system: SystemId) {
-    clint::post(CoreAddress::new(system, CoreId::CONTROL).index());
+    interrupts::post(CoreAddress::new(system, CoreId::CONTROL).index());
 }

@@ -3,7 +3,7 @@
 use core::fmt::{self, Write};
 use core::ptr::{read_volatile, write_volatile};
 
-use crate::log::write_line;
+use super::log::write_line;
 
 const UART: usize = 0x1000_0000;
 const LINE_STATUS: usize = 5;

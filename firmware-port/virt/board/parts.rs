@@ -1,7 +1,7 @@
 //! The parts of the board. Each accesses some of the carrier's registers.
 
 use crate::peripherals::{self, SystemRegisters};
-use crate::{clint, hart};
+use crate::{hart, interrupts};
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use tandem_board::{
     Can, CanErrors, CanFrame, Channel, CoreAddress, CoreId, DataFlash, Datagram, Edge, FlashError,
@@ -42,7 +42,7 @@ pub struct VirtNetwork(pub(super) CoreAddress);
 pub struct VirtFlash(pub(super) CoreAddress);
 /// The supply of a system.
 #[derive(Clone, Copy, Debug)]
-pub struct VirtSupply(pub(super) CoreAddress);
+pub struct VirtSupply(pub(crate) CoreAddress);
 
 impl VirtCan {
     fn send(&self, frame: &CanFrame, mark: u32) -> Result<(), TransmitFull> {
@@ -91,7 +91,7 @@ impl Can for VirtCan {
         // Release pairs with the Acquire in `broadcast`.
         registers.wake_on_receive.store(on, Release);
         if on && !registers.receive.is_empty() {
-            clint::post(hart::number());
+            interrupts::post(hart::number());
         }
     }
 

@@ -1,7 +1,7 @@
 //! Services the watchdog while a bootloader computes, because a signature check takes longer than
 //! the window. Runs in the interrupt of the timer that ends the turns of the hart.
 
-use super::{VirtBoard, VirtSupply};
+use crate::board::{VirtBoard, VirtSupply};
 use crate::peripherals::now;
 use crate::{hart, trap};
 use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
@@ -17,7 +17,7 @@ fn now_us() -> u32 {
     (now().as_ns() / 1_000) as u32
 }
 
-/// Services the watchdog from an interrupt. Turns must be limited: see [`run`](super::run).
+/// Services the watchdog from an interrupt. Turns must be limited: see [`run`](crate::board::run).
 #[derive(Debug)]
 pub struct ByTimer(());
 

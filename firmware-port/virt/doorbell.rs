@@ -1,7 +1,7 @@
 //! Waits for the doorbell or a deadline, without a race and without taking the interrupt.
 
-use crate::clint;
-use crate::hart::{self, HARTS, MSI, MTI};
+use crate::hart::{self, DOORBELL, HARTS, TIMER};
+use crate::interrupts;
 use crate::trap::{self, HartState};
 use core::sync::atomic::Ordering::Relaxed;
 
@@ -16,9 +16,9 @@ pub fn wait(deadline: Option<u64>) -> bool {
     let number = hart::number() % HARTS;
     let state = &trap::STATES[number];
     hart::interrupts_off();
-    hart::enable(MSI);
+    hart::enable(DOORBELL);
     let rung = loop {
-        if hart::pending() & MSI != 0 {
+        if hart::pending() & DOORBELL != 0 {
             if clear(number, state) {
                 // Here the interrupt handler runs, resets the hart, and does not return.
                 hart::interrupts_on();
@@ -33,11 +33,11 @@ pub fn wait(deadline: Option<u64>) -> bool {
         match deadline {
             Some(deadline) if hart::time() >= deadline => break false,
             Some(deadline) => {
-                clint::set_timer(number, deadline);
-                hart::enable(MTI);
+                interrupts::set_timer(number, deadline);
+                hart::enable(TIMER);
             }
             // The timer that ends turns need not wake a sleeping hart.
-            None => hart::disable(MTI),
+            None => hart::disable(TIMER),
         }
         hart::sleep();
     };
@@ -49,7 +49,7 @@ pub fn wait(deadline: Option<u64>) -> bool {
 /// Consumes a ring without sleeping. Returns whether there was one.
 pub fn take() -> bool {
     let number = hart::number() % HARTS;
-    let pending = hart::pending() & MSI != 0;
+    let pending = hart::pending() & DOORBELL != 0;
     if pending {
         clear(number, &trap::STATES[number]);
     }
@@ -61,10 +61,10 @@ pub fn take() -> bool {
 /// rings the doorbell again, so that the interrupt handler runs.
 #[inline]
 fn clear(number: usize, state: &HartState) -> bool {
-    clint::clear(number);
+    interrupts::clear(number);
     let reset = state.is_held();
     if reset {
-        clint::post(number);
+        interrupts::post(number);
     }
     reset
 }
@@ -73,10 +73,10 @@ fn clear(number: usize, state: &HartState) -> bool {
 #[inline]
 fn rearm(number: usize, state: &HartState) {
     match state.slice.load(Relaxed) {
-        0 => hart::disable(MTI),
+        0 => hart::disable(TIMER),
         ticks => {
-            clint::set_timer(number, hart::time() + u64::from(ticks));
-            hart::enable(MTI);
+            interrupts::set_timer(number, hart::time() + u64::from(ticks));
+            hart::enable(TIMER);
         }
     }
 }
