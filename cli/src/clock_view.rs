@@ -19,7 +19,7 @@ use tandem_record::description::{is_holdover, no_grandmaster, time_source, time_
 use crate::args::TimeArgs;
 use crate::failure::Failure;
 use crate::live::columns;
-use crate::percentiles::DeviationFigures;
+use tandem_processes::percentiles::DeviationFigures;
 
 /// How often the run is polled.
 const TURN: Duration = Duration::from_millis(50);

@@ -20,7 +20,7 @@ pub mod injection;
 pub mod live;
 pub mod metrics;
 pub mod output;
-pub mod percentiles;
+
 pub mod ps;
 pub mod publish;
 mod report;

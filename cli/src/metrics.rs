@@ -10,10 +10,10 @@ use tandem_record::{RunLog, ms_between, start};
 use tandem_vehicle::Ruling;
 
 use crate::grandmaster::GrandmasterEnd;
-use crate::percentiles::Spans;
 use crate::soc::{SocEnd, SocFigures};
 use crate::time_figures::TimeFigures;
 use crate::timeline::{InterruptMetrics, TaskMetrics, Timeline, WakeMetrics};
+use tandem_processes::percentiles::Spans;
 
 /// Value of [`Metrics::schema`]. It identifies a folder as a report.
 pub(crate) const SCHEMA: &str = "tandem-metrics/1";

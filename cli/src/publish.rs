@@ -34,9 +34,9 @@ use tandem_vehicle::LoggedFrame;
 
 use crate::args::RunArgs;
 use crate::failure::Failure;
-use crate::percentiles::Spans;
 use crate::viewer::Viewer;
 use tandem_processes::files::RunFiles;
+use tandem_processes::percentiles::Spans;
 use tandem_processes::run_config::{LimitProfile, RunConfig};
 
 /// Delay of the next read after a read that found nothing, or only part of an entry.

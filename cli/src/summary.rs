@@ -6,10 +6,10 @@ use std::path::Path;
 use tandem_record::verdict::{Outcome, Verdict};
 
 use crate::metrics::Metrics;
-use crate::percentiles::DeviationFigures;
 use crate::soc::SocFigures;
 use crate::time_figures::TimeFigures;
 use crate::topics::IdFigures;
+use tandem_processes::percentiles::DeviationFigures;
 
 /// Returns the verdict, then the most important figures, and the path of the report.
 /// `besides` is what else fails the run.

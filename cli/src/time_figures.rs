@@ -8,7 +8,7 @@ use tandem_record::clocks::{ChainClock, ClockLog};
 use tandem_record::description::is_holdover;
 
 use crate::grandmaster::GrandmasterEnd;
-use crate::percentiles::DeviationFigures;
+use tandem_processes::percentiles::DeviationFigures;
 
 /// A clock converges for this long after it first has a time, ns. Spreads are of what follows.
 pub(crate) const CONVERGES_NS: u64 = 5_000_000_000;

@@ -22,15 +22,17 @@ topics-host: board board-udp bus shm topics
 timesync: board
 timesync-host: board timesync
 exec: board shm
-exec-host: board board-host boot exec manifest shm
+exec-host: board board-host boot exec manifest
+exec-client: board board-host exec shm
 manifest: board
 vehicle: board bus timesync
 page:
 watch: board board-host bus cores observers
 board-host: board board-udp peripherals shm
 observers: board-host shm
-processes: board board-host boot boot-host bus cores record redundancy rtos runtime vehicle
-benches: board board-host board-udp exec exec-host manifest observers page rtos shm topics topics-host two-cores
+processes: board board-host boot boot-host bus cores page record redundancy rtos runtime vehicle
+benches: board board-host board-udp exec exec-client exec-host manifest observers page rtos shm topics \
+topics-host two-cores
 two-cores: shm
 golden: board bus cores peripherals
 record: board bus cores redundancy timesync vehicle

@@ -12,7 +12,7 @@ use tandem_board_host::RunName;
 use tandem_board_host::clock::{now, sleep_until};
 use tandem_board_host::realtime::{Claim, claim};
 use tandem_exec::message::{Activation, ClientId};
-use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace};
+use tandem_exec_client::sync::{SyncClient, SyncMaster, SyncPlace};
 
 /// A watching thread that wakes later than this was stalled.
 const LATE: Duration = Duration::from_us(200);

@@ -12,7 +12,7 @@ use tandem_board_host::clock::now;
 use tandem_exec::client::Activated;
 use tandem_exec::master::Config;
 use tandem_exec::message::{Activation, ClientId};
-use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace};
+use tandem_exec_client::sync::{SyncClient, SyncMaster, SyncPlace};
 
 /// Period of the cycles, ns.
 pub(super) const PERIOD_NS: u64 = 1_000_000;

@@ -10,7 +10,7 @@ use std::hint::black_box;
 use std::io;
 use std::time::Duration;
 use tandem_exec::client::Random;
-use tandem_exec_host::pool::WorkerPool;
+use tandem_exec_client::pool::WorkerPool;
 
 /// Elements of a run.
 const ELEMENTS: usize = 512;

@@ -13,6 +13,7 @@ pub mod files;
 mod forging;
 pub mod live;
 pub mod open_bus;
+pub mod percentiles;
 pub mod recorder;
 pub mod run_config;
 pub mod three_frames;

@@ -11,8 +11,8 @@ use tandem_record::{RunLog, Takeover};
 
 use super::plot_card;
 use super::sections::{DOTS, line, series, time_chart};
-use crate::percentiles::DeviationFigures;
 use crate::time_figures::{CONVERGES_NS, TimeFigures};
+use tandem_processes::percentiles::DeviationFigures;
 
 /// A state lasts until the next one, but no longer than this, ns.
 const LASTS_NS: u64 = 500_000_000;

@@ -1,7 +1,7 @@
 //! The charts of a report, with the data of the run that each one shows.
 
 use crate::metrics::{chain_ms, control_periods_ms, jerk};
-use crate::percentiles::Spans;
+use tandem_processes::percentiles::Spans;
 
 use tandem_board::SystemId;
 use tandem_page::chart::{self, Axis, Chart, Polygon, Series, Style, thin};

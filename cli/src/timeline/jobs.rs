@@ -8,7 +8,7 @@ use tandem_cores::task_table::{self, IrqCode, TaskCode};
 use tandem_cores::trace::Begin;
 
 use super::{CoreLine, Flow, Work, task_name};
-use crate::percentiles::Spans;
+use tandem_processes::percentiles::Spans;
 
 /// Figures of one task over the run, as `metrics.json` has them.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -3,7 +3,5 @@
 #![forbid(unsafe_code)]
 
 pub mod launcher;
-pub mod pool;
 pub mod supervisor;
-pub mod sync;
 pub mod trust;

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use tandem_exec::client::Random;
-use tandem_exec_host::pool::{PoolError, WorkerPool};
+use tandem_exec_client::pool::{PoolError, WorkerPool};
 
 /// A run on a loaded machine is never mistaken for one that hangs.
 const PATIENCE: Duration = Duration::from_secs(60);

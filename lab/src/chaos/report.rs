@@ -7,7 +7,7 @@ use serde_json::json;
 
 use super::Source;
 use super::recording_judge::Outcome;
-use tandem::percentiles::Spans;
+use tandem_processes::percentiles::Spans;
 
 /// Upper limits of the histogram's columns, ms. One more column has no upper limit.
 const COLUMNS_MS: [f64; 7] = [10.5, 11.5, 13.0, 15.0, 17.0, 19.0, 21.0];

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use tandem_exec::client::Random;
-use tandem_exec_host::pool::WorkerPool;
+use tandem_exec_client::pool::WorkerPool;
 
 use crate::allocator::{counted, watch_this_thread};
 

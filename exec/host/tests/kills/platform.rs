@@ -17,8 +17,8 @@ use tandem_board_host::{RunName, clock};
 use tandem_exec::client::{Activated, Standing};
 use tandem_exec::master::Config;
 use tandem_exec::message::{Activation, ClientId};
+use tandem_exec_client::sync::{SyncClient, SyncMaster, SyncPlace};
 use tandem_exec_host::launcher::{self, GuardEnd, GuardPlan, NOTHING_STARTED, ProcessLauncher};
-use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace};
 
 /// Redundant clients, candidates for the master.
 pub(crate) const CLIENTS: usize = 3;

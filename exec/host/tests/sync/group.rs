@@ -10,7 +10,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use tandem_board::Duration;
 use tandem_board_host::{Isolation, isolation};
 use tandem_exec::master::Config;
-use tandem_exec_host::sync::SyncPlace;
+use tandem_exec_client::sync::SyncPlace;
 
 use crate::roles::{ROLE, text};
 

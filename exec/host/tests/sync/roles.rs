@@ -10,7 +10,7 @@ use tandem_exec::client::{Activated, Standing};
 use tandem_exec::lockstep::OutputDigest;
 use tandem_exec::master::Config;
 use tandem_exec::message::{Activation, ClientId, SyncRequest};
-use tandem_exec_host::sync::{SyncClient, SyncMaster, SyncPlace};
+use tandem_exec_client::sync::{SyncClient, SyncMaster, SyncPlace};
 use tandem_golden::{Functions, instant};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS};
 use tandem_shm::Shape;

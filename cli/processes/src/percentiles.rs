@@ -58,20 +58,20 @@ impl Spans {
 
 /// The magnitudes of deviations, µs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub(crate) struct DeviationFigures {
+pub struct DeviationFigures {
     /// Median.
-    pub(crate) p50_us: f64,
+    pub p50_us: f64,
     /// 99th percentile.
-    pub(crate) p99_us: f64,
+    pub p99_us: f64,
     /// Largest.
-    pub(crate) max_us: f64,
+    pub max_us: f64,
     /// How many there are.
-    pub(crate) count: u64,
+    pub count: u64,
 }
 
 impl DeviationFigures {
     /// Of deviations in ns; `None` without any.
-    pub(crate) fn of_ns(deviations_ns: impl IntoIterator<Item = i64>) -> Option<Self> {
+    pub fn of_ns(deviations_ns: impl IntoIterator<Item = i64>) -> Option<Self> {
         let sizes = deviations_ns.into_iter().map(i64::unsigned_abs);
         let spans = Spans::from_ms(sizes.map(|ns| ns as f64 * 1e-6));
         let us = |percent| Some(spans.percentile_ms(percent)? * 1e3);
