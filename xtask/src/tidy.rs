@@ -31,8 +31,8 @@ watch: board board-host bus cores observers
 board-host: board board-udp peripherals shm
 observers: board-host shm
 processes: board board-host boot boot-host bus cores page record redundancy rtos runtime vehicle
-benches: board board-host board-udp exec exec-client exec-host manifest observers page rtos shm topics \
-topics-host two-cores
+benches: board board-host board-udp exec exec-client exec-host manifest observers page \
+rtos shm topics topics-host two-cores
 two-cores: shm
 golden: board bus cores peripherals
 record: board bus cores redundancy timesync vehicle
