@@ -1,6 +1,9 @@
 //! Tests the live page of a real run with clients that are not ours: Python's, and Chromium.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
+#[path = "../../../tests/json/schema.rs"]
+mod schema;
+
 use std::fs::{self, File};
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
@@ -180,6 +183,35 @@ fn a_client_in_python_kills_the_master_and_sees_the_takeover() {
     }
     let run = Run::start();
     run.client("client.py", &[]);
+    run.interrupt();
+}
+
+/// A second page may be opened beside a run. With `--json` it says where, in a document of its
+/// schema.
+#[test]
+fn the_address_of_a_page_beside_a_run_fits_its_schema() {
+    let run = Run::start();
+    let begin = Instant::now();
+    let document = loop {
+        assert!(begin.elapsed() < WATCHDOG, "no page");
+        let mut page = Command::new(WEB)
+            .args(["web", "--json", "--run", &run.process.id().to_string()])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        let said = BufReader::new(page.stdout.take().unwrap()).read_line(&mut line);
+        page.kill().unwrap();
+        page.wait().unwrap();
+        said.unwrap();
+        // Until the run publishes, the program ends without a word.
+        if !line.is_empty() {
+            break line;
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    };
+    schema::fits("web", document.as_bytes());
     run.interrupt();
 }
 

@@ -1,5 +1,4 @@
-//! The platform that runs the processes of a computer: what may run, when, and what happens when it
-//! fails.
+//! What may run on a computer, when, and what happens when it fails.
 #![forbid(unsafe_code)]
 
 pub mod launcher;

@@ -2,9 +2,8 @@
 //!
 //! A place is one segment: the decision word, a bell, and a mailbox for each client and each
 //! candidate, with one writer each. Processes sleep in the kernel on the decision word and on the
-//! bell (futexes). A killed process holds nothing, so its successor just attaches.
-//!
-//! Two processes with one identity must not run at once: the launcher kills before it restarts.
+//! bell (futexes). A killed process holds nothing, so its successor just attaches. Two processes
+//! with one identity must not run at once: the launcher kills before it restarts.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -30,9 +29,8 @@ const ANSWERS_AT: usize = REQUESTS_AT + MAX_CLIENTS * REQUEST_WORDS;
 const ANSWER_WORDS: usize = broadcast::words(ANSWER).next_multiple_of(LINE);
 const WORDS: usize = ANSWERS_AT + MAX_CLIENTS * ANSWER_WORDS;
 
-/// The decision word: the low 29 bits of the cycle, and the master. A candidate that is frozen
-/// between its look at the word and its exchange for exactly 2^29 cycles (6 days at 1 kHz) would
-/// not notice it.
+/// The decision word: the low 29 bits of the cycle, and the master. A candidate that is frozen for
+/// exactly 2^29 cycles (6 days at 1 kHz) between its look at it and its exchange misses that.
 const MASTER_BITS: u32 = 3;
 
 const fn decision(response: &SyncResponse) -> u32 {

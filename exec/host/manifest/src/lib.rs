@@ -1,5 +1,4 @@
 //! The manifest: which processes may run, how, and in which run targets. One TOML file, one reader.
-
 #![forbid(unsafe_code)]
 
 mod checks;
