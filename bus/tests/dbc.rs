@@ -280,8 +280,9 @@ fn write_sensors(dbc: &Dbc, sensors: &[&str], out: &mut String) -> Result<()> {
         .collect();
     write!(
         out,
-        r"/// A sensor that sends object lists.
+        r#"/// A sensor that sends object lists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SensorId {{
 {variants}}}
 
@@ -297,7 +298,7 @@ impl SensorId {{
     }}
 }}
 
-",
+"#,
         count = sensors.len(),
         all = sensors
             .iter()
