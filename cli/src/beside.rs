@@ -2,12 +2,14 @@
 //! program is built at its first use.
 
 use std::ffi::{OsStr, OsString};
+use std::io::{BufRead as _, BufReader, Write as _};
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow};
+use serde::{Deserialize, Serialize};
 
 use crate::failure::Failure;
 
@@ -65,6 +67,121 @@ pub struct PassedArguments {
     words: Vec<OsString>,
 }
 
+/// What a program beside a run says, in one line of JSON on stdout, when it has opened its files,
+/// ports and interfaces.
+#[derive(Debug, Serialize, Deserialize)]
+pub enum Ready {
+    /// It is ready; what a person must know to use it, in words.
+    At(Option<String>),
+    /// It cannot open one of them; why.
+    Refused(String),
+}
+
+impl Ready {
+    /// Says it to `tandem run`.
+    ///
+    /// # Errors
+    /// If stdout cannot be written.
+    pub fn say(&self) -> anyhow::Result<()> {
+        let line = serde_json::to_string(self).context("an answer")?;
+        crate::print(&(line + "\n"))
+    }
+}
+
+/// A program beside a run, as seen by `tandem run`. The run does not depend on it. It ends when its
+/// stdin closes; dropping this closes it.
+pub(crate) struct Attendant {
+    process: Child,
+    /// What it is, in words.
+    what: &'static str,
+    /// It is killed if it needs longer to end.
+    ends_within: Duration,
+}
+
+impl Attendant {
+    /// Starts the program, and waits until it is ready. Cargo may first have to build it. Prints on
+    /// stderr what it says.
+    ///
+    /// # Errors
+    /// [`Failure::Usage`] if the program does not start, or refuses. Then nothing is left behind.
+    pub(crate) fn start(
+        program: Program,
+        what: &'static str,
+        words: Vec<OsString>,
+        ends_within: Duration,
+    ) -> Result<Self, Failure> {
+        let path = built(program).map_err(Failure::Usage)?;
+        let process = Command::new(&path)
+            .args(words)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            // Ctrl-C in the terminal must not reach the program, because the run ends it.
+            .process_group(0)
+            .spawn();
+        let missing = |error| Failure::Usage(missing(program, &path, &error));
+        let mut attendant = Self {
+            process: process.map_err(missing)?,
+            what,
+            ends_within,
+        };
+        match attendant.answer().map_err(Failure::Usage)? {
+            Ready::Refused(why) => Err(Failure::Usage(anyhow!("{why}"))),
+            Ready::At(place) => {
+                // Also with `--quiet`: nothing else tells a port that the program has chosen.
+                if let Some(place) = place {
+                    eprintln!("{place}");
+                }
+                Ok(attendant)
+            }
+        }
+    }
+
+    fn answer(&mut self) -> anyhow::Result<Ready> {
+        let out = self.process.stdout.take().context("a pipe")?;
+        let mut line = String::new();
+        BufReader::new(out).read_line(&mut line)?;
+        serde_json::from_str(&line).with_context(|| format!("the {} ended", self.what))
+    }
+
+    /// Writes a line to its stdin.
+    pub(crate) fn tell(&mut self, line: &str) {
+        if let Some(stdin) = &mut self.process.stdin {
+            // If the program has died, its end says so. One line always fits into the pipe.
+            let _ = writeln!(stdin, "{line}");
+        }
+    }
+
+    /// Ends the program. Says if it has failed.
+    pub(crate) fn end(mut self) {
+        match self.close() {
+            Ok(status) if !status.success() => {
+                eprintln!("warning: the {} ended with {status}", self.what);
+            }
+            _ => {}
+        }
+    }
+
+    /// Closes its stdin. Kills it if it does not end.
+    fn close(&mut self) -> std::io::Result<ExitStatus> {
+        drop(self.process.stdin.take());
+        let begin = Instant::now();
+        while self.process.try_wait()?.is_none() {
+            if begin.elapsed() > self.ends_within {
+                self.process.kill()?;
+            }
+            std::thread::sleep(POLL_INTERVAL);
+        }
+        self.process.wait()
+    }
+}
+
+impl Drop for Attendant {
+    fn drop(&mut self) {
+        // If it has ended, this has no effect.
+        let _ = self.close();
+    }
+}
+
 /// Replaces this process by the program, with these arguments. Returns only on failure.
 ///
 /// If this program runs from cargo's target folder and its sources exist, cargo first rebuilds the
@@ -79,7 +196,7 @@ pub fn become_program(program: Program, arguments: &[OsString]) -> Result<(), Fa
 }
 
 /// Returns the error that the program does not start.
-pub(crate) fn missing(program: Program, path: &Path, error: &std::io::Error) -> anyhow::Error {
+fn missing(program: Program, path: &Path, error: &std::io::Error) -> anyhow::Error {
     let (shown, package) = (path.display(), program.package());
     anyhow!("{shown}: {error}; build it: cargo build --release -p {package}")
 }
@@ -88,7 +205,7 @@ pub(crate) fn missing(program: Program, path: &Path, error: &std::io::Error) -> 
 ///
 /// # Errors
 /// If it does not exist, and cargo fails.
-pub(crate) fn built(program: Program) -> anyhow::Result<PathBuf> {
+fn built(program: Program) -> anyhow::Result<PathBuf> {
     let folder = this_file()?.with_file_name("");
     let path = folder.join(program.name());
     let is_there = path.exists();

@@ -11,11 +11,11 @@ use tandem_board::{CanId, CoreId, Duration, Instant, SystemId, VehiclePort};
 use tandem_board_host::{HostVehiclePort, LaunchPlan, Launcher, Schedule, VehicleArgs};
 use tandem_boot::{FIRST_ID, Slot};
 use tandem_boot_host::{FileSender, ToDo, records};
-
-use crate::run::this_program;
 use tandem_processes::boot::{self, ProgramFlashes};
 use tandem_processes::files::RunFiles;
 use tandem_processes::run_config::{RunConfig, write_lines};
+
+use crate::run::this_program;
 pub use tandem_processes::three_frames::NAME;
 
 /// The system that receives the download. The other system has an empty flash and waits.

@@ -13,13 +13,13 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board_host::process_list::{self, RunError};
 use tandem_observers::{ChainedClock, News, Observer, VehicleClocks};
 use tandem_page::output::OutputFile;
+use tandem_processes::percentiles::DeviationFigures;
 use tandem_record::clocks::ChainClock;
 use tandem_record::description::{is_holdover, no_grandmaster, time_source, time_status};
 
 use crate::args::TimeArgs;
 use crate::failure::Failure;
 use crate::live::columns;
-use tandem_processes::percentiles::DeviationFigures;
 
 /// How often the run is polled.
 const TURN: Duration = Duration::from_millis(50);

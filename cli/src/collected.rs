@@ -5,14 +5,14 @@ use std::io::{BufWriter, Write as _};
 use std::path::Path;
 
 use anyhow::Context as _;
+use tandem_processes::files::RunFiles;
+use tandem_processes::percentiles::Spans;
 use tandem_record::{RunLog, file};
 
 use crate::metrics::{self, Metrics, Surroundings};
 use crate::output::{self, ReportFolder};
 use crate::report;
 use crate::timeline::{self, Timeline};
-use tandem_processes::files::RunFiles;
-use tandem_processes::percentiles::Spans;
 
 /// The data of a run, copied from its shared memory before that memory is erased.
 pub struct Collected {

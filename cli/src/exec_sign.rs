@@ -8,9 +8,9 @@ use serde_json::json;
 use tandem_boot_host::SigningKey;
 use tandem_exec_host::trust::sign;
 use tandem_manifest::Manifest;
+use tandem_processes::boot::{PRIVATE_DER, key};
 
 use crate::failure::Failure;
-use tandem_processes::boot::{PRIVATE_DER, key};
 
 /// What is signed, and by which key.
 #[derive(Clone, Debug, clap::Args)]

@@ -50,6 +50,14 @@ impl Failure {
         }
     }
 
+    /// Prints the reason if a program has failed. Returns its exit status.
+    pub fn status(result: Result<ExitCode, Self>) -> ExitCode {
+        result.unwrap_or_else(|failure| {
+            failure.say();
+            failure.code()
+        })
+    }
+
     /// Returns the exit status.
     pub fn code(&self) -> ExitCode {
         ExitCode::from(match self {

@@ -6,7 +6,7 @@ pub mod args;
 pub mod beside;
 pub mod board_kind;
 pub mod boot_demo;
-pub mod can_bridge;
+mod can_bridge;
 pub mod clock_view;
 pub mod collected;
 mod companion;
@@ -56,13 +56,7 @@ pub fn program(command: impl FnOnce() -> Result<(), Failure>) -> ExitCode {
             }
         };
     }
-    match command() {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            failure.say();
-            failure.code()
-        }
-    }
+    Failure::status(command().map(|()| ExitCode::SUCCESS))
 }
 
 /// Runs one process of a run until it ends.

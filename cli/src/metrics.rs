@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 use tandem_cores::trace::Event;
+use tandem_processes::percentiles::Spans;
 use tandem_record::log::{DriveFigures, Sample};
 use tandem_record::reaction::{Reaction, reaction};
 use tandem_record::run_log::Stall;
@@ -13,7 +14,6 @@ use crate::grandmaster::GrandmasterEnd;
 use crate::soc::{SocEnd, SocFigures};
 use crate::time_figures::TimeFigures;
 use crate::timeline::{InterruptMetrics, TaskMetrics, Timeline, WakeMetrics};
-use tandem_processes::percentiles::Spans;
 
 /// Value of [`Metrics::schema`]. It identifies a folder as a report.
 pub(crate) const SCHEMA: &str = "tandem-metrics/1";

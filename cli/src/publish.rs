@@ -25,6 +25,9 @@ use tandem_board_host::RunName;
 use tandem_bus::{Message, RoleCode};
 use tandem_cores::trace;
 use tandem_observers::{ChainedClock, Event, Frame, Publisher, Roles, Vehicle, VehicleClocks};
+use tandem_processes::files::RunFiles;
+use tandem_processes::percentiles::Spans;
+use tandem_processes::run_config::{LimitProfile, RunConfig};
 use tandem_record::clocks::{ChainClock, TimeLog};
 use tandem_record::log::{Sample, VehicleRecord};
 use tandem_record::roles::RoleState;
@@ -33,11 +36,9 @@ use tandem_shm::topic::Publish as _;
 use tandem_vehicle::LoggedFrame;
 
 use crate::args::RunArgs;
+use crate::beside::Attendant;
 use crate::failure::Failure;
-use crate::viewer::Viewer;
-use tandem_processes::files::RunFiles;
-use tandem_processes::percentiles::Spans;
-use tandem_processes::run_config::{LimitProfile, RunConfig};
+use crate::viewer;
 
 /// Delay of the next read after a read that found nothing, or only part of an entry.
 const RETRY_INTERVAL: Duration = Duration::from_millis(10);
@@ -76,7 +77,7 @@ pub(crate) struct Publishing {
     process: Child,
     over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
-    viewers: Vec<Viewer>,
+    viewers: Vec<Attendant>,
 }
 
 impl Publishing {
@@ -86,7 +87,7 @@ impl Publishing {
     /// # Errors
     /// [`Failure::Usage`] if the arguments ask for a view of the run that cannot be shown.
     pub(crate) fn prepare(args: &RunArgs) -> Result<Option<Self>, Failure> {
-        let viewers = Viewer::all(args)?;
+        let viewers = viewer::start(args)?;
         match Self::start() {
             Some(publishing) => Ok(Some(Self {
                 viewers,
@@ -138,7 +139,7 @@ impl Publishing {
             let _ = self.to.send(&begin);
         }
         for viewer in &mut self.viewers {
-            viewer.begin(run, realtime, is_virtual);
+            viewer::begin(viewer, run, realtime, is_virtual);
         }
     }
 

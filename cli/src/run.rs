@@ -13,6 +13,12 @@ use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
     CoreArgs, Ended, LaunchPlan, Launcher, Leftovers, Pinning, ProcessArgs, RunName, Schedule,
 };
+use tandem_processes::boot::{self, ProgramFlashes};
+use tandem_processes::files::RunFiles;
+use tandem_processes::open_bus::{OpenBus, OpenBusPlace};
+use tandem_processes::run_config::{LimitProfile, RunConfig, UpdateFiles};
+use tandem_processes::update::objections;
+use tandem_processes::{core_process, vehicle};
 use tandem_record::RunLog;
 use tandem_record::gap::Bounds;
 use tandem_record::verdict::Beside;
@@ -32,12 +38,6 @@ use crate::publish::Publishing;
 use crate::soc::{SocEnd, SocProcess};
 use crate::stall_watch::{self, Seen, StallWatch};
 use crate::{summary, topics};
-use tandem_processes::boot::{self, ProgramFlashes};
-use tandem_processes::files::RunFiles;
-use tandem_processes::open_bus::{OpenBus, OpenBusPlace};
-use tandem_processes::run_config::{LimitProfile, RunConfig, UpdateFiles};
-use tandem_processes::update::objections;
-use tandem_processes::{core_process, vehicle};
 
 /// Duration for which `--timing auto` measures the stalls of the machine.
 const MEASURED_FOR: Duration = Duration::from_ms(500);
@@ -50,7 +50,7 @@ const TIMERS_LATE: Duration = Duration::from_ms(2);
 /// Returns the [`Failure`] whose exit status the command documents.
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
-    // Both need the `/dev/shm` that they share with observers, so they start before the launcher.
+    // Observers must see what publishing uses in `/dev/shm`, so it starts before the launcher.
     let bridge = CanBridge::start(args)?;
     let publishing = Publishing::prepare(args)?;
     let mut launcher = Launcher::prepare()?;

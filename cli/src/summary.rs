@@ -3,13 +3,13 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use tandem_processes::percentiles::DeviationFigures;
 use tandem_record::verdict::{Outcome, Verdict};
 
 use crate::metrics::Metrics;
 use crate::soc::SocFigures;
 use crate::time_figures::TimeFigures;
 use crate::topics::IdFigures;
-use tandem_processes::percentiles::DeviationFigures;
 
 /// Returns the verdict, then the most important figures, and the path of the report.
 /// `besides` is what else fails the run.

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
+use tandem_processes::percentiles::DeviationFigures;
 use tandem_record::RunLog;
 use tandem_record::clocks::{ChainClock, ClockLog};
 use tandem_record::description::is_holdover;
 
 use crate::grandmaster::GrandmasterEnd;
-use tandem_processes::percentiles::DeviationFigures;
 
 /// A clock converges for this long after it first has a time, ns. Spreads are of what follows.
 pub(crate) const CONVERGES_NS: u64 = 5_000_000_000;

@@ -10,7 +10,7 @@ use std::process::{ExitCode, exit};
 use anyhow::Context as _;
 use clap::Parser;
 use socketcan::{CanFdSocket, Socket as _};
-use tandem::can_bridge::BridgeAnswer;
+use tandem::beside::Ready;
 use tandem_boot_host::{BusPipe, BusPipeListener};
 
 /// Connects the bus of a run with a SocketCAN interface
@@ -39,10 +39,10 @@ fn main() -> ExitCode {
 fn connect(args: &Cli) -> anyhow::Result<()> {
     let opened = open(args);
     let answer = match &opened {
-        Ok(_) => BridgeAnswer::Ready,
-        Err(error) => BridgeAnswer::Refused(format!("{error:#}")),
+        Ok(_) => Ready::At(None),
+        Err(error) => Ready::Refused(format!("--can {}: {error:#}", args.interface)),
     };
-    tandem::print(&(serde_json::to_string(&answer)? + "\n"))?;
+    answer.say()?;
     let Ok((socket, listener)) = opened else {
         return Ok(());
     };

@@ -16,8 +16,9 @@ use anyhow::{Context as _, anyhow};
 use clap::{Parser, Subcommand};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem::args::FoxgloveArgs;
+use tandem::beside::Ready;
 use tandem::failure::Failure;
-use tandem::viewer::{self, Ready, ShownRun};
+use tandem::viewer::{self, ShownRun};
 use tandem_board_host::clock;
 use tandem_board_host::process_list;
 use tandem_observers::Observer;
@@ -48,13 +49,7 @@ enum Command {
 fn main() -> ExitCode {
     let Cli { command } = command_line::parse(std::env::args_os());
     let Command::Foxglove(args) = command;
-    match run(&args) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            failure.say();
-            failure.code()
-        }
-    }
+    Failure::status(run(&args).map(|()| ExitCode::SUCCESS))
 }
 
 fn run(args: &FoxgloveArgs) -> Result<(), Failure> {

@@ -4,6 +4,7 @@ use maud::{Markup, html};
 use tandem_page::chart::{self, Axis, Chart, Polygon, Series, Style, thin};
 use tandem_page::legend;
 use tandem_page::svg::Color;
+use tandem_processes::percentiles::DeviationFigures;
 use tandem_record::clocks::{ChainClock, ClockLog};
 use tandem_record::description::{is_holdover, time_source};
 use tandem_record::log::{ClockSample, ClockState};
@@ -12,7 +13,6 @@ use tandem_record::{RunLog, Takeover};
 use super::plot_card;
 use super::sections::{DOTS, line, series, time_chart};
 use crate::time_figures::{CONVERGES_NS, TimeFigures};
-use tandem_processes::percentiles::DeviationFigures;
 
 /// A state lasts until the next one, but no longer than this, ns.
 const LASTS_NS: u64 = 500_000_000;

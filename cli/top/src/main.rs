@@ -42,13 +42,7 @@ enum Command {
 fn main() -> ExitCode {
     let Cli { command } = command_line::parse(std::env::args_os());
     let Command::Top(choice) = command;
-    match run(&choice) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            failure.say();
-            failure.code()
-        }
-    }
+    Failure::status(run(&choice).map(|()| ExitCode::SUCCESS))
 }
 
 /// Shows the run until the user presses q.

@@ -21,8 +21,9 @@ use clap::{Parser, Subcommand};
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem::args::WebArgs;
+use tandem::beside::Ready;
 use tandem::failure::Failure;
-use tandem::viewer::{self, Ready, ShownRun};
+use tandem::viewer::{self, ShownRun};
 use tandem_observers::Observer;
 use tandem_page::command_line;
 use tandem_watch::Hands;
@@ -63,13 +64,7 @@ struct Start<'a> {
 fn main() -> ExitCode {
     let Cli { command } = command_line::parse(std::env::args_os());
     let Command::Web(args) = command;
-    match run(&args) {
-        Ok(code) => code,
-        Err(failure) => {
-            failure.say();
-            failure.code()
-        }
-    }
+    Failure::status(run(&args))
 }
 
 /// Serves the page until the run has ended, or a signal tells to end. Returns the exit status.

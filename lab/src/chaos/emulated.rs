@@ -15,6 +15,10 @@ use tandem_board_host::{BusFault, Wire};
 use tandem_board_qemu::{EmulatedWorld, MachineError, MachineOptions, WorldLayout};
 use tandem_bus::Control;
 use tandem_faults::{BusFaults, CannotSuffer, Effect, Kind, Sequence, Site, Suffer, effects};
+use tandem_processes::files::RunFiles;
+use tandem_processes::recorder::Recorder;
+use tandem_processes::run_config::LimitProfile;
+use tandem_processes::vehicle;
 use tandem_vehicle::Scenario;
 
 use super::Source;
@@ -25,10 +29,6 @@ use crate::emulated;
 use tandem::collected::read;
 use tandem::output;
 use tandem::run::{Recorded, surroundings};
-use tandem_processes::files::RunFiles;
-use tandem_processes::recorder::Recorder;
-use tandem_processes::run_config::LimitProfile;
-use tandem_processes::vehicle;
 
 /// Time without power when a system is switched off and on.
 const OFF: Duration = Duration::from_ms(50);
