@@ -51,12 +51,20 @@ impl LineStream {
         self.heard.clear();
         Ok(line)
     }
+}
 
-    /// Returns the process and the user at the other end.
-    fn peer(&self) -> Option<(u32, u32)> {
-        let peer = getsockopt(self.stream.get_ref(), sockopt::PeerCredentials).ok()?;
-        Some((u32::try_from(peer.pid()).ok()?, peer.uid()))
-    }
+/// Returns the process and the user at the other end of a connection.
+fn peer(connection: &impl AsFd) -> Option<(u32, u32)> {
+    let peer = getsockopt(connection, sockopt::PeerCredentials).ok()?;
+    Some((u32::try_from(peer.pid()).ok()?, peer.uid()))
+}
+
+/// Whether the process at the other end of a connection is of the same user, or of root. Names in
+/// the abstract namespace are open to every user of the machine.
+#[must_use]
+pub fn is_trusted(connection: &impl AsFd) -> bool {
+    let own = rustix::process::geteuid().as_raw();
+    peer(connection).is_some_and(|(_, uid)| uid == own || uid == 0)
 }
 
 impl AsFd for LineStream {
@@ -119,13 +127,12 @@ impl RequestSocket {
     /// # Errors
     /// If the system does not give a descriptor for a connection.
     pub fn take(&mut self) -> io::Result<Vec<LineRequest>> {
-        let own = rustix::process::geteuid().as_raw();
         // As many as there may be, also if each is refused: a flood of them must not hold it up.
         for _ in self.connections.len()..MOST_CONNECTIONS {
             match self.listener.accept() {
                 Ok((stream, _)) => {
                     let stream = LineStream::new(stream)?;
-                    if stream.peer().is_some_and(|(_, uid)| uid == own || uid == 0) {
+                    if is_trusted(&stream) {
                         self.connections.push(stream);
                     }
                 }
@@ -139,7 +146,7 @@ impl RequestSocket {
             match stream.line(LONGEST_REQUEST) {
                 Ok(text) => requests.push(LineRequest {
                     text,
-                    from: stream.peer().map_or(0, |(pid, _)| pid),
+                    from: peer(&stream).map_or(0, |(pid, _)| pid),
                     stream,
                 }),
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {

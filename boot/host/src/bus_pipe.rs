@@ -2,6 +2,7 @@
 //! the form of [`UdpBus`](crate::UdpBus). It has a name in the kernel, and leaves no file behind.
 
 use std::io::{self, Read as _};
+use std::os::fd::{AsFd, BorrowedFd};
 
 use socket2::{Domain, SockAddr, Socket, Type};
 use tandem_board::CanFrame;
@@ -27,11 +28,11 @@ impl BusPipeListener {
         Ok(Self(socket))
     }
 
-    /// Waits for the other end, and ends the name.
+    /// Waits for another end. Each user of this machine can be there: ask the kernel who it is.
     ///
     /// # Errors
     /// An error of the operating system.
-    pub fn accept(self) -> io::Result<BusPipe> {
+    pub fn accept(&self) -> io::Result<BusPipe> {
         self.0.accept().map(|(socket, _)| BusPipe(socket))
     }
 }
@@ -39,6 +40,12 @@ impl BusPipeListener {
 /// One end of the connection.
 #[derive(Debug)]
 pub struct BusPipe(Socket);
+
+impl AsFd for BusPipe {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.0.as_fd()
+    }
+}
 
 impl BusPipe {
     /// Connects to the end that waits under this name. [`BusPipe::poll`] and [`BusPipe::send`]
@@ -122,6 +129,7 @@ mod tests {
         let vehicle = BusPipe::connect(&name).unwrap();
         assert_eq!(vehicle.poll(), None);
         let bridge = listener.accept().unwrap();
+        drop(listener);
         for frame in &frames {
             vehicle.send(frame).unwrap();
             bridge.try_clone().unwrap().send(frame).unwrap();

@@ -11,6 +11,7 @@ use anyhow::Context as _;
 use clap::Parser;
 use socketcan::{CanFdSocket, Socket as _};
 use tandem::beside::Ready;
+use tandem_board_host::socket::is_trusted;
 use tandem_boot_host::{BusPipe, BusPipeListener};
 
 /// Connects the bus of a run with a SocketCAN interface
@@ -47,7 +48,11 @@ fn connect(args: &Cli) -> anyhow::Result<()> {
         return Ok(());
     };
     std::thread::spawn(end_without_run);
-    let vehicle = listener.accept().context("the vehicle")?;
+    let mut vehicle = listener.accept().context("the vehicle")?;
+    while !is_trusted(&vehicle) {
+        vehicle = listener.accept().context("the vehicle")?;
+    }
+    drop(listener);
     pass(&socket, &vehicle)
 }
 

@@ -4,9 +4,10 @@
 
 use std::net::Ipv4Addr;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, ensure};
 use serde::{Deserialize, Serialize};
 use tandem_board::CanFrame;
+use tandem_board_host::socket::is_trusted;
 use tandem_boot_host::{BusPipe, UdpBus};
 
 /// Frames from outside in a millisecond: a bus of 500 kbit/s has room for no more. The others wait.
@@ -38,7 +39,8 @@ impl OpenBus {
     /// Connects to the place.
     ///
     /// # Errors
-    /// An error of the operating system, usually because there is no route to the group.
+    /// An error of the operating system, usually because there is no route to the group; or another
+    /// user has taken the place of the bridge.
     pub fn join(at: &OpenBusPlace) -> anyhow::Result<Self> {
         match at {
             OpenBusPlace::Udp { group, port } => {
@@ -48,6 +50,10 @@ impl OpenBus {
             }
             OpenBusPlace::Bridge(name) => {
                 let bus = BusPipe::connect(name).context("the bridge to the CAN interface")?;
+                ensure!(
+                    is_trusted(&bus),
+                    "the bridge to the CAN interface is another user's"
+                );
                 Ok(Self::Bridge(bus))
             }
         }
