@@ -5,22 +5,26 @@ use tandem_cores::trace::Event;
 use tandem_redundancy::Phase;
 
 use crate::RunLog;
+use crate::run_log::CoreEvent;
 
-/// Returns the time between the moments at which the two systems left the start protocol, ns.
-/// Returns `None` unless they left it as master and standby, within `TOGETHER_NS`.
+/// Returns the time between the moments at which the two systems saw the edge on which they left
+/// the start protocol, ns. Returns `None` unless they left it as master and standby, within
+/// `TOGETHER_NS`.
+///
+/// A system sees the edge when a pass over its tasks begins, and the change is recorded when the
+/// pass has acted on it, which takes the master longer than the standby.
 #[must_use]
 pub fn skew_ns(log: &RunLog) -> Option<u64> {
     let left = |system: SystemId| {
-        let of_system = |event: &&crate::run_log::CoreEvent| {
-            event.system == system && event.core == CoreId::CONTROL
-        };
+        let of_system =
+            |event: &&CoreEvent| event.system == system && event.core == CoreId::CONTROL;
         let mut events = log.events.iter().filter(of_system);
         events.find_map(|event| match event.event {
             Event::Phase {
                 from: Phase::Starting,
                 to: to @ (Phase::Master | Phase::Standby),
                 ..
-            } => Some((event.at_ns, to)),
+            } => Some((seen_ns(log, event), to)),
             _ => None,
         })
     };
@@ -29,13 +33,26 @@ pub fn skew_ns(log: &RunLog) -> Option<u64> {
     (a != b && skew_ns <= TOGETHER_NS).then_some(skew_ns)
 }
 
+/// Returns when the task began that recorded this event; the event's own time without a task.
+fn seen_ns(log: &RunLog, event: &CoreEvent) -> u64 {
+    let begins = log.trace.iter().filter_map(|traced| {
+        let is_here = traced.system == event.system && traced.core == event.core;
+        let begins = matches!(Event::decode(traced.record), Some(Event::TaskIn { .. }));
+        let at_ns = traced.at.as_ns();
+        (is_here && begins && at_ns <= event.at_ns).then_some(at_ns)
+    });
+    begins.max().unwrap_or(event.at_ns)
+}
+
 /// Two systems that leave the protocol on the same sync edge do so within this time, ns.
 const TOGETHER_NS: u64 = 100_000_000;
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::run_log::CoreEvent;
+    use tandem_board::{Instant, Traced};
+    use tandem_cores::task_table::TaskCode;
+    use tandem_cores::trace::Begin;
     use tandem_redundancy::Evidence;
 
     #[test]
@@ -66,5 +83,24 @@ mod tests {
             "it joined later"
         );
         assert_eq!(skew_ns(&RunLog::default()), None);
+        // A pass that began 30 µs before it recorded the change, and a later one.
+        let begins = |at_us: u64, system| Traced {
+            at: Instant::from_ns(at_us * 1_000),
+            system,
+            core: CoreId::CONTROL,
+            record: Event::TaskIn {
+                task: TaskCode(0),
+                begin: Begin::Goes,
+            }
+            .encode(),
+        };
+        let mut with_passes = log(5_572, Phase::Standby);
+        with_passes.trace = vec![
+            begins(3_000, SystemId::A),
+            begins(4_970, SystemId::A),
+            begins(5_400, SystemId::A),
+            begins(5_570, SystemId::B),
+        ];
+        assert_eq!(skew_ns(&with_passes), Some(600_000));
     }
 }

@@ -29,9 +29,8 @@ use two_cores::{Counted, Exchange};
 const SYNC_NS: f64 = 660.0;
 const SKEW_US: f64 = 572.0;
 /// Both systems must receive the sync edge within one heartbeat period, or they miss the first
-/// heartbeats. A tenth more, because the figure ends when the receiver has acted: systems that were
-/// switched on together poll in step, so it is a few microseconds, or one period and that.
-const SKEW_BOUND_US: f64 = 1_100.0;
+/// heartbeats.
+const SKEW_BOUND_US: f64 = 1_000.0;
 const RESET_MS: f64 = 2.08;
 const POWER_MS: f64 = 4.04;
 /// The control period. A response within it costs no control frame.
