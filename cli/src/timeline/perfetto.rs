@@ -5,23 +5,19 @@
 
 use std::collections::HashMap;
 
-use prost::Message as _;
 use tandem_board::{CoreId, SupplyEvent, SystemId};
 use tandem_cores::trace::Event;
 
 use super::schema::{
-    CounterDescriptor, DebugAnnotation, InternedData, NEEDS_STATE, Name, ProcessDescriptor,
-    STATE_CLEARED, ThreadDescriptor, TracePacket, TrackDescriptor, TrackEvent, event_type,
+    Message, NEEDS_STATE, PACKET, STATE_CLEARED, event, event_type, names, packet, track,
 };
 use super::{CoreLine, Step, Timeline, irq_name, task_name};
 use tandem_record::roles::RoleState;
 use tandem_record::{RunLog, description, takeovers};
 use tandem_vehicle::Ruling;
 
-const SEQUENCE: u32 = 1;
-/// Key byte of a packet in a trace: field 1, prefixed with its length.
-const PACKET_KEY: u8 = 0x0A;
-const VEHICLE_PID: i32 = 3;
+const SEQUENCE: u64 = 1;
+const VEHICLE_PID: u64 = 3;
 
 /// A trace.
 pub(crate) struct Encoded {
@@ -52,8 +48,8 @@ pub(crate) fn encode(timeline: &Timeline, log: &RunLog) -> Encoded {
     }
 }
 
-const fn pid(system: SystemId) -> i32 {
-    system.index() as i32 + 1
+const fn pid(system: SystemId) -> u64 {
+    system.index() as u64 + 1
 }
 
 const fn core_name(core: CoreId) -> &'static str {
@@ -80,91 +76,92 @@ impl Names {
         number
     }
 
-    fn list(&self) -> Vec<Name> {
-        let mut list: Vec<Name> = self
-            .numbers
-            .iter()
-            .map(|(name, number)| Name {
-                iid: Some(*number),
-                name: Some(name.clone()),
-            })
-            .collect();
-        list.sort_by_key(|name| name.iid);
-        list
+    /// Adds all names to the message's `field`, in order of their numbers.
+    fn define(&self, message: &mut Message, field: u32) {
+        let mut list: Vec<(&String, &u64)> = self.numbers.iter().collect();
+        list.sort_by_key(|(_, number)| **number);
+        for (name, number) in list {
+            let mut entry = Message::default();
+            entry.number(names::NUMBER, *number).text(names::NAME, name);
+            message.message(field, &entry);
+        }
     }
 }
 
 #[derive(Debug, Default)]
 struct Trace {
-    tracks: Vec<TrackDescriptor>,
+    tracks: Vec<Message>,
     /// Time, ns, and event; the events of each track are in order of time.
-    events: Vec<(u64, TrackEvent)>,
+    events: Vec<(u64, Message)>,
     names: Names,
     categories: Names,
     figures: Names,
 }
 
 impl Trace {
-    fn add_track(&mut self, descriptor: TrackDescriptor) -> u64 {
-        let uuid = self.tracks.len() as u64 + 1;
-        self.tracks.push(TrackDescriptor {
-            uuid: Some(uuid),
-            ..descriptor
-        });
+    /// Adds a row; returns its number and its descriptor.
+    fn add_track(&mut self) -> (u64, &mut Message) {
+        let place = self.tracks.len();
+        let uuid = place as u64 + 1;
+        let mut descriptor = Message::default();
+        descriptor.number(track::UUID, uuid);
+        self.tracks.push(descriptor);
+        (uuid, &mut self.tracks[place])
+    }
+
+    fn process(&mut self, pid: u64, name: &str) -> u64 {
+        let mut process = Message::default();
+        process
+            .number(track::process::PID, pid)
+            .text(track::process::NAME, name);
+        let (uuid, descriptor) = self.add_track();
+        descriptor.message(track::PROCESS, &process);
         uuid
     }
 
-    fn process(&mut self, pid: i32, name: &str) -> u64 {
-        self.add_track(TrackDescriptor {
-            process: Some(ProcessDescriptor {
-                pid: Some(pid),
-                process_name: Some(name.to_owned()),
-            }),
-            ..TrackDescriptor::default()
-        })
-    }
-
-    fn thread(&mut self, pid: i32, number: i32, name: &str) -> u64 {
-        self.add_track(TrackDescriptor {
-            thread: Some(ThreadDescriptor {
-                pid: Some(pid),
-                // Unique over all processes, and different from every process id.
-                tid: Some(i64::from(100 * pid + number)),
-                thread_name: Some(name.to_owned()),
-            }),
-            ..TrackDescriptor::default()
-        })
+    fn thread(&mut self, pid: u64, number: u64, name: &str) -> u64 {
+        let mut thread = Message::default();
+        // The thread's id is unique over all processes, and different from every process id.
+        thread
+            .number(track::thread::PID, pid)
+            .number(track::thread::TID, 100 * pid + number);
+        thread.text(track::thread::NAME, name);
+        let (uuid, descriptor) = self.add_track();
+        descriptor.message(track::THREAD, &thread);
+        uuid
     }
 
     fn track(&mut self, parent: Option<u64>, name: &str) -> u64 {
-        self.add_track(TrackDescriptor {
-            parent_uuid: parent,
-            name: Some(name.to_owned()),
-            ..TrackDescriptor::default()
-        })
+        let (uuid, descriptor) = self.add_track();
+        descriptor.text(track::NAME, name);
+        if let Some(parent) = parent {
+            descriptor.number(track::PARENT_UUID, parent);
+        }
+        uuid
     }
 
     fn counter(&mut self, parent: u64, name: &str, unit: &str) -> u64 {
-        self.add_track(TrackDescriptor {
-            parent_uuid: Some(parent),
-            name: Some(name.to_owned()),
-            counter: Some(CounterDescriptor {
-                unit_name: Some(unit.to_owned()),
-            }),
-            ..TrackDescriptor::default()
-        })
+        let mut counter = Message::default();
+        counter.text(track::UNIT_NAME, unit);
+        let (uuid, descriptor) = self.add_track();
+        descriptor
+            .number(track::PARENT_UUID, parent)
+            .text(track::NAME, name);
+        descriptor.message(track::COUNTER, &counter);
+        uuid
     }
 
     /// Adds an event of this kind, see [`event_type`]. An empty name means no name.
-    fn event(&mut self, track: u64, at_ns: u64, kind: i32, name: &str) -> &mut TrackEvent {
+    fn event(&mut self, track: u64, at_ns: u64, kind: u64, name: &str) -> &mut Message {
         let place = self.events.len();
-        let event = TrackEvent {
-            r#type: Some(kind),
-            track_uuid: Some(track),
-            name_iid: (!name.is_empty()).then(|| self.names.number(name)),
-            ..TrackEvent::default()
-        };
-        self.events.push((at_ns, event));
+        let mut message = Message::default();
+        message
+            .number(event::TYPE, kind)
+            .number(event::TRACK, track);
+        if !name.is_empty() {
+            message.number(event::NAME, self.names.number(name));
+        }
+        self.events.push((at_ns, message));
         &mut self.events[place].1
     }
 
@@ -174,13 +171,13 @@ impl Trace {
 
     fn value(&mut self, track: u64, at_ns: u64, value: f64) {
         if value.is_finite() {
-            let event = self.event(track, at_ns, event_type::COUNTER, "");
-            event.double_counter_value = Some(value);
+            let message = self.event(track, at_ns, event_type::COUNTER, "");
+            message.double(event::COUNTER_VALUE, value);
         }
     }
 
     fn core(&mut self, line: &CoreLine) {
-        let number = line.core.index() as i32;
+        let number = line.core.index() as u64;
         let track = self.thread(pid(line.system), number, core_name(line.core));
         let late = self.figures.number("late (µs)");
         let missed = self.figures.number("missed releases");
@@ -192,18 +189,18 @@ impl Trace {
                 Step::Begin(slice) => {
                     let slice = &line.slices[slice];
                     let name = slice.work.name(line.core);
-                    let event = self.event(track, at_ns, event_type::SLICE_BEGIN, &name);
-                    event.category_iids.push(category);
+                    let message = self.event(track, at_ns, event_type::SLICE_BEGIN, &name);
+                    message.number(event::CATEGORY, category);
                     let late_us = slice.late_ns.map(|late_ns| f64::from(late_ns) * 1e-3);
                     let missed_releases = (slice.missed > 0).then(|| slice.missed.into());
                     let number = slice.job.map(|job| job as f64);
-                    let figures = [(late, late_us), (missed, missed_releases), (job, number)];
-                    let known = figures.iter().filter(|(_, value)| value.is_some());
-                    let annotation = |(name, value): &(u64, Option<f64>)| DebugAnnotation {
-                        name_iid: Some(*name),
-                        double_value: *value,
-                    };
-                    event.debug_annotations.extend(known.map(annotation));
+                    for (name, value) in [(late, late_us), (missed, missed_releases), (job, number)]
+                    {
+                        let Some(value) = value else { continue };
+                        let mut figure = Message::default();
+                        figure.number(event::FIGURE_NAME, name);
+                        message.message(event::FIGURE, figure.double(event::FIGURE_VALUE, value));
+                    }
                 }
                 Step::End(_) => {
                     self.event(track, at_ns, event_type::SLICE_END, "");
@@ -214,12 +211,14 @@ impl Trace {
                         continue;
                     };
                     let category = self.categories.number(category);
-                    let event = self.event(track, at_ns, event_type::INSTANT, &name);
-                    event.category_iids.push(category);
+                    let message = self.event(track, at_ns, event_type::INSTANT, &name);
+                    message.number(event::CATEGORY, category);
                     match mark.event {
-                        Event::Wake { .. } if mark.flow != 0 => event.flow_ids.push(mark.flow),
+                        Event::Wake { .. } if mark.flow != 0 => {
+                            message.fixed(event::FLOW, mark.flow);
+                        }
                         Event::Woken { .. } if mark.flow != 0 => {
-                            event.terminating_flow_ids.push(mark.flow);
+                            message.fixed(event::TERMINATING_FLOW, mark.flow);
                         }
                         _ => {}
                     }
@@ -373,41 +372,31 @@ impl Trace {
     }
 
     fn into_bytes(mut self) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        let mut put = |packet: &TracePacket| {
-            bytes.push(PACKET_KEY);
-            // Encoding into a vector cannot fail.
-            let _ = packet.encode_length_delimited(&mut bytes);
+        let mut trace = Message::default();
+        let mut put = |flags: u64, field: u32, content: &Message, at_ns: Option<u64>| {
+            let mut packet = Message::default();
+            if let Some(at_ns) = at_ns {
+                packet.number(packet::TIMESTAMP, at_ns);
+            }
+            packet
+                .number(packet::SEQUENCE_ID, SEQUENCE)
+                .message(field, content);
+            trace.message(PACKET, packet.number(packet::SEQUENCE_FLAGS, flags));
         };
-        let packet = |flags: u32| TracePacket {
-            trusted_packet_sequence_id: Some(SEQUENCE),
-            sequence_flags: Some(flags),
-            ..TracePacket::default()
-        };
-        put(&TracePacket {
-            interned_data: Some(InternedData {
-                event_categories: self.categories.list(),
-                event_names: self.names.list(),
-                debug_annotation_names: self.figures.list(),
-            }),
-            ..packet(STATE_CLEARED)
-        });
-        for track in self.tracks {
-            put(&TracePacket {
-                track_descriptor: Some(track),
-                ..packet(NEEDS_STATE)
-            });
+        let mut interned = Message::default();
+        self.categories.define(&mut interned, names::CATEGORY);
+        self.names.define(&mut interned, names::EVENT);
+        self.figures.define(&mut interned, names::FIGURE);
+        put(STATE_CLEARED, packet::INTERNED_DATA, &interned, None);
+        for track in &self.tracks {
+            put(NEEDS_STATE, packet::TRACK_DESCRIPTOR, track, None);
         }
         // The sort is stable: events of one track with the same time keep their order.
         self.events.sort_by_key(|(at_ns, _)| *at_ns);
-        for (at_ns, event) in self.events {
-            put(&TracePacket {
-                timestamp: Some(at_ns),
-                track_event: Some(event),
-                ..packet(NEEDS_STATE)
-            });
+        for (at_ns, event) in &self.events {
+            put(NEEDS_STATE, packet::TRACK_EVENT, event, Some(*at_ns));
         }
-        bytes
+        trace.into_bytes()
     }
 }
 

@@ -1,127 +1,148 @@
-//! The part of Perfetto's trace format that this program writes.
+//! The part of Perfetto's trace format that this program writes, in protobuf's wire format.
 //!
 //! Numbers and types of the fields are those of `protos/perfetto/trace/perfetto_trace.proto` of
 //! the Perfetto project. The test `perfetto_oracle` decodes a trace with Perfetto's description.
 
-use prost::Message;
+/// Field of a trace: a packet.
+pub(super) const PACKET: u32 = 1;
 
-/// One packet of a trace.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct TracePacket {
+/// Fields of a packet of a trace.
+pub(super) mod packet {
     /// Time, ns.
-    #[prost(uint64, optional, tag = "8")]
-    pub(super) timestamp: Option<u64>,
-    #[prost(uint32, optional, tag = "10")]
-    pub(super) trusted_packet_sequence_id: Option<u32>,
-    #[prost(message, optional, tag = "11")]
-    pub(super) track_event: Option<TrackEvent>,
-    #[prost(message, optional, tag = "12")]
-    pub(super) interned_data: Option<InternedData>,
-    #[prost(uint32, optional, tag = "13")]
-    pub(super) sequence_flags: Option<u32>,
-    #[prost(message, optional, tag = "60")]
-    pub(super) track_descriptor: Option<TrackDescriptor>,
+    pub(crate) const TIMESTAMP: u32 = 8;
+    pub(crate) const SEQUENCE_ID: u32 = 10;
+    pub(crate) const TRACK_EVENT: u32 = 11;
+    pub(crate) const INTERNED_DATA: u32 = 12;
+    pub(crate) const SEQUENCE_FLAGS: u32 = 13;
+    pub(crate) const TRACK_DESCRIPTOR: u32 = 60;
 }
 
 /// Flag of a sequence: this packet clears all earlier names.
-pub(super) const STATE_CLEARED: u32 = 1;
+pub(super) const STATE_CLEARED: u64 = 1;
 /// Flag of a packet: it uses names that its sequence defined.
-pub(super) const NEEDS_STATE: u32 = 2;
+pub(super) const NEEDS_STATE: u64 = 2;
 
-/// A row of the view.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct TrackDescriptor {
-    #[prost(uint64, optional, tag = "1")]
-    pub(super) uuid: Option<u64>,
-    #[prost(string, optional, tag = "2")]
-    pub(super) name: Option<String>,
-    #[prost(message, optional, tag = "3")]
-    pub(super) process: Option<ProcessDescriptor>,
-    #[prost(message, optional, tag = "4")]
-    pub(super) thread: Option<ThreadDescriptor>,
-    #[prost(uint64, optional, tag = "5")]
-    pub(super) parent_uuid: Option<u64>,
-    #[prost(message, optional, tag = "8")]
-    pub(super) counter: Option<CounterDescriptor>,
+/// Fields of a row of the view.
+pub(super) mod track {
+    pub(crate) const UUID: u32 = 1;
+    pub(crate) const NAME: u32 = 2;
+    /// With the fields of [`process`].
+    pub(crate) const PROCESS: u32 = 3;
+    /// With the fields of [`thread`].
+    pub(crate) const THREAD: u32 = 4;
+    pub(crate) const PARENT_UUID: u32 = 5;
+    /// With the field [`UNIT_NAME`].
+    pub(crate) const COUNTER: u32 = 8;
+    pub(crate) const UNIT_NAME: u32 = 6;
+
+    pub(crate) mod process {
+        pub(crate) const PID: u32 = 1;
+        pub(crate) const NAME: u32 = 6;
+    }
+
+    pub(crate) mod thread {
+        pub(crate) const PID: u32 = 1;
+        pub(crate) const TID: u32 = 2;
+        pub(crate) const NAME: u32 = 5;
+    }
 }
 
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct ProcessDescriptor {
-    #[prost(int32, optional, tag = "1")]
-    pub(super) pid: Option<i32>,
-    #[prost(string, optional, tag = "6")]
-    pub(super) process_name: Option<String>,
+/// Fields of an event on a row.
+pub(super) mod event {
+    pub(crate) const CATEGORY: u32 = 3;
+    /// A figure attached to the event: [`FIGURE_NAME`] and [`FIGURE_VALUE`].
+    pub(crate) const FIGURE: u32 = 4;
+    pub(crate) const TYPE: u32 = 9;
+    pub(crate) const NAME: u32 = 10;
+    pub(crate) const TRACK: u32 = 11;
+    pub(crate) const COUNTER_VALUE: u32 = 44;
+    pub(crate) const FLOW: u32 = 47;
+    pub(crate) const TERMINATING_FLOW: u32 = 48;
+
+    pub(crate) const FIGURE_NAME: u32 = 1;
+    pub(crate) const FIGURE_VALUE: u32 = 5;
 }
 
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct ThreadDescriptor {
-    #[prost(int32, optional, tag = "1")]
-    pub(super) pid: Option<i32>,
-    #[prost(int64, optional, tag = "2")]
-    pub(super) tid: Option<i64>,
-    #[prost(string, optional, tag = "5")]
-    pub(super) thread_name: Option<String>,
-}
-
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct CounterDescriptor {
-    #[prost(string, optional, tag = "6")]
-    pub(super) unit_name: Option<String>,
-}
-
-/// An event on a row.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct TrackEvent {
-    #[prost(uint64, repeated, tag = "3")]
-    pub(super) category_iids: Vec<u64>,
-    #[prost(message, repeated, tag = "4")]
-    pub(super) debug_annotations: Vec<DebugAnnotation>,
-    #[prost(int32, optional, tag = "9")]
-    pub(super) r#type: Option<i32>,
-    #[prost(uint64, optional, tag = "10")]
-    pub(super) name_iid: Option<u64>,
-    #[prost(uint64, optional, tag = "11")]
-    pub(super) track_uuid: Option<u64>,
-    #[prost(double, optional, tag = "44")]
-    pub(super) double_counter_value: Option<f64>,
-    #[prost(fixed64, repeated, packed = "false", tag = "47")]
-    pub(super) flow_ids: Vec<u64>,
-    #[prost(fixed64, repeated, packed = "false", tag = "48")]
-    pub(super) terminating_flow_ids: Vec<u64>,
-}
-
-/// Values of [`TrackEvent::type`].
+/// Values of [`event::TYPE`].
 pub(super) mod event_type {
-    pub(in super::super) const SLICE_BEGIN: i32 = 1;
-    pub(in super::super) const SLICE_END: i32 = 2;
-    pub(in super::super) const INSTANT: i32 = 3;
-    pub(in super::super) const COUNTER: i32 = 4;
+    pub(crate) const SLICE_BEGIN: u64 = 1;
+    pub(crate) const SLICE_END: u64 = 2;
+    pub(crate) const INSTANT: u64 = 3;
+    pub(crate) const COUNTER: u64 = 4;
 }
 
-/// A figure attached to an event.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct DebugAnnotation {
-    #[prost(uint64, optional, tag = "1")]
-    pub(super) name_iid: Option<u64>,
-    #[prost(double, optional, tag = "5")]
-    pub(super) double_value: Option<f64>,
+/// Fields of the names that packets refer to by number.
+pub(super) mod names {
+    pub(crate) const CATEGORY: u32 = 1;
+    pub(crate) const EVENT: u32 = 2;
+    pub(crate) const FIGURE: u32 = 3;
+
+    pub(crate) const NUMBER: u32 = 1;
+    pub(crate) const NAME: u32 = 2;
 }
 
-/// Names that packets refer to by number.
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct InternedData {
-    #[prost(message, repeated, tag = "1")]
-    pub(super) event_categories: Vec<Name>,
-    #[prost(message, repeated, tag = "2")]
-    pub(super) event_names: Vec<Name>,
-    #[prost(message, repeated, tag = "3")]
-    pub(super) debug_annotation_names: Vec<Name>,
+/// A message, made field by field in any order.
+#[derive(Debug, Default)]
+pub(super) struct Message {
+    bytes: Vec<u8>,
 }
 
-#[derive(Clone, PartialEq, Message)]
-pub(super) struct Name {
-    #[prost(uint64, optional, tag = "1")]
-    pub(super) iid: Option<u64>,
-    #[prost(string, optional, tag = "2")]
-    pub(super) name: Option<String>,
+impl Message {
+    const VARINT: u64 = 0;
+    const FIXED64: u64 = 1;
+    const LENGTH_DELIMITED: u64 = 2;
+
+    /// Adds a number: `uint64`, `uint32`, or a value of `int32` or `int64` that is not negative.
+    pub(super) fn number(&mut self, field: u32, value: u64) -> &mut Self {
+        self.key(field, Self::VARINT);
+        self.varint(value);
+        self
+    }
+
+    /// Adds a `fixed64`.
+    pub(super) fn fixed(&mut self, field: u32, value: u64) -> &mut Self {
+        self.key(field, Self::FIXED64);
+        self.bytes.extend(value.to_le_bytes());
+        self
+    }
+
+    /// Adds a `double`.
+    pub(super) fn double(&mut self, field: u32, value: f64) -> &mut Self {
+        self.fixed(field, value.to_bits())
+    }
+
+    /// Adds a `string`.
+    pub(super) fn text(&mut self, field: u32, text: &str) -> &mut Self {
+        self.delimited(field, text.as_bytes())
+    }
+
+    /// Adds another message.
+    pub(super) fn message(&mut self, field: u32, message: &Self) -> &mut Self {
+        self.delimited(field, &message.bytes)
+    }
+
+    /// The encoded message.
+    pub(super) fn into_bytes(self) -> Vec<u8> {
+        self.bytes
+    }
+
+    fn delimited(&mut self, field: u32, bytes: &[u8]) -> &mut Self {
+        self.key(field, Self::LENGTH_DELIMITED);
+        self.varint(bytes.len() as u64);
+        self.bytes.extend(bytes);
+        self
+    }
+
+    fn key(&mut self, field: u32, kind: u64) {
+        self.varint(u64::from(field) << 3 | kind);
+    }
+
+    /// Seven bits a byte, lowest first; the top bit says that more follow.
+    fn varint(&mut self, mut value: u64) {
+        while value >= 0x80 {
+            self.bytes.push(value as u8 | 0x80);
+            value >>= 7;
+        }
+        self.bytes.push(value as u8);
+    }
 }

@@ -8,7 +8,7 @@ use prost::Message as _;
 use tandem_board::{Instant, ResetCause, Traced};
 use tandem_record::Entry;
 
-use super::schema::{TracePacket, event_type};
+use super::schema::event_type;
 use super::*;
 use crate::tests::synthetic;
 
@@ -350,6 +350,29 @@ pub(crate) fn around(at_ns: u64) -> Timeline {
     timeline_of(&entries)
 }
 
+/// What [`check`] reads of a packet.
+#[derive(Clone, PartialEq, prost::Message)]
+struct TracePacket {
+    #[prost(uint64, optional, tag = "8")]
+    timestamp: Option<u64>,
+    #[prost(message, optional, tag = "11")]
+    track_event: Option<TrackEvent>,
+}
+
+#[derive(Clone, PartialEq, prost::Message)]
+struct TrackEvent {
+    #[prost(uint64, required, tag = "9")]
+    r#type: u64,
+    #[prost(uint64, optional, tag = "11")]
+    track_uuid: Option<u64>,
+    #[prost(double, optional, tag = "44")]
+    double_counter_value: Option<f64>,
+    #[prost(fixed64, repeated, packed = "false", tag = "47")]
+    flow_ids: Vec<u64>,
+    #[prost(fixed64, repeated, packed = "false", tag = "48")]
+    terminating_flow_ids: Vec<u64>,
+}
+
 /// Checks that slices of a track nest and end, times ascend, and arrows have both ends in order.
 fn check(bytes: &[u8]) {
     let mut rest = bytes;
@@ -366,7 +389,7 @@ fn check(bytes: &[u8]) {
         let (track, at_ns) = (event.track_uuid.unwrap(), packet.timestamp.unwrap());
         assert!(last.insert(track, at_ns).unwrap_or(0) <= at_ns);
         let depth = depth.entry(track).or_default();
-        match event.r#type.unwrap() {
+        match event.r#type {
             event_type::SLICE_BEGIN => *depth += 1,
             event_type::SLICE_END => *depth -= 1,
             event_type::INSTANT => {}
