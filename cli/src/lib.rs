@@ -68,7 +68,8 @@ fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
         }
         ProcessArgs::Core(args) => {
             let of = args.identity;
-            core_process::run(&args).with_context(|| format!("core {}{}", of.system, of.core))
+            let run = RunConfig::from_extra(&args.common.extra)?;
+            core_process::run(&args, &run).with_context(|| format!("core {}{}", of.system, of.core))
         }
         ProcessArgs::Vehicle(args) => {
             let run = RunConfig::from_extra(&args.common.extra)?;

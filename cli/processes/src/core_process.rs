@@ -16,8 +16,7 @@ use tandem_cores::{Config, Core};
 ///
 /// # Errors
 /// If the run has ended, or the arguments are not from this program.
-pub fn run(args: &CoreArgs) -> anyhow::Result<()> {
-    let run = RunConfig::from_extra(&args.common.extra)?;
+pub fn run(args: &CoreArgs, run: &RunConfig) -> anyhow::Result<()> {
     let grant = args.claim();
     match (&args.application, &run.program_flash) {
         (None, Some(flash)) => return boot::run(args, flash),
@@ -25,7 +24,7 @@ pub fn run(args: &CoreArgs) -> anyhow::Result<()> {
         (Some(name), _) if name != boot::CONTROLLER => bail!("there is no application {name:?}"),
         (Some(_), _) | (None, None) => {}
     }
-    let config = config(&run);
+    let config = config(run);
     let alarm = run.stall_alarm(grant.cpu);
     let board = HostBoard::attach(args).context("the core cannot attach to its board")?;
     if let Some(error) = board.network().error() {

@@ -35,6 +35,7 @@ impl Live {
 
     /// Reads the file; `None` if there is no state in it.
     #[must_use]
+    #[inline] // as the JSON of a run's configuration is
     pub fn read(path: &Path) -> Option<Self> {
         serde_json::from_slice(&fs::read(path).ok()?).ok()
     }

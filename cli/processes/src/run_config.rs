@@ -171,10 +171,13 @@ impl RunConfig {
         Alarm::inherited(own.descriptor).ok()
     }
 
+    // JSON is inlined into the command, which is not optimised: a first build takes less time.
+
     /// Encodes the configuration as a process's argument.
     ///
     /// # Errors
     /// Never in practice: JSON can represent the whole configuration.
+    #[inline]
     pub fn to_extra(&self) -> anyhow::Result<Vec<OsString>> {
         Ok(vec![
             serde_json::to_string(self)
@@ -187,6 +190,7 @@ impl RunConfig {
     ///
     /// # Errors
     /// If the argument is missing or was not made by [`RunConfig::to_extra`].
+    #[inline]
     pub fn from_extra(extra: &[OsString]) -> anyhow::Result<Self> {
         let text = extra
             .first()

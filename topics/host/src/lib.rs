@@ -5,8 +5,9 @@ pub mod approach;
 pub mod gateway;
 pub mod listing;
 pub mod node;
-pub mod profiles;
 pub mod signals;
 pub mod soc;
 pub mod typed;
 pub mod udp;
+
+pub use tandem_qos_profiles as profiles;

@@ -41,7 +41,7 @@ use policies::{Items, Key, Kind, UNLIMITED};
 
 /// The profiles that are shipped: `Tandem::Soc` for the topics of a SoC, and one derived from it.
 /// D-5
-pub const SOC: &str = include_str!("../profiles/soc.xml");
+pub const SOC: &str = include_str!("../soc.xml");
 /// Largest accepted file, bytes.
 pub const FILE_MAX: usize = 256 << 10;
 /// Largest accepted number of attributes of an element: the parser compares all pairs.
