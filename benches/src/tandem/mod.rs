@@ -8,6 +8,7 @@ use crate::harness::{Batch, BatchPlan, End, between_processes};
 use crate::open_loop::at_fixed_rate;
 use crate::shared::{PAIR, SharedPage, announce, draw};
 use std::io;
+use std::mem::MaybeUninit;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Duration, Generation};
@@ -24,20 +25,22 @@ pub(crate) const fn word(stamp: u32, at: usize) -> u32 {
     stamp.wrapping_add(at as u32)
 }
 
+/// Writes each word of a payload in place.
+#[inline]
+pub(crate) fn fill(words: &mut [MaybeUninit<u32>], stamp: u32) {
+    for (at, place) in words.iter_mut().enumerate() {
+        place.write(word(stamp, at));
+    }
+}
+
 /// Returns the stamp of a payload, after all its words were read.
 ///
 /// # Panics
 /// If a word is not what was written.
 #[inline]
-pub(crate) fn sum_from(words: impl ExactSizeIterator<Item = u32>) -> u32 {
-    let count = words.len() as u32;
-    let (mut sum, mut stamp) = (0u32, 0);
-    for (at, word) in words.enumerate() {
-        if at == 0 {
-            stamp = word;
-        }
-        sum = sum.wrapping_add(word);
-    }
+pub(crate) fn sum_from(words: &[u32]) -> u32 {
+    let (stamp, count) = (words[0], words.len() as u32);
+    let sum = words.iter().fold(0u32, |sum, word| sum.wrapping_add(*word));
     let places = (u64::from(count) * (u64::from(count) - 1) / 2) as u32;
     assert_eq!(
         sum,
@@ -48,18 +51,17 @@ pub(crate) fn sum_from(words: impl ExactSizeIterator<Item = u32>) -> u32 {
 }
 
 /// The mailbox towards a core, and a channel of `WORDS` words.
-type Inward<const WORDS: usize, const SLOTS: usize> =
-    (Region<Mailbox>, Region<Newest<[u32; WORDS], SLOTS>>);
+type Inward<const WORDS: usize> = (Region<Mailbox>, Region<Newest<[u32; WORDS]>>);
 
 /// The mailboxes of both directions.
-struct Regions<const WORDS: usize, const SLOTS: usize = 4>;
+struct Regions<const WORDS: usize>;
 
-impl<const WORDS: usize, const SLOTS: usize> Regions<WORDS, SLOTS> {
+impl<const WORDS: usize> Regions<WORDS> {
     const MAILBOX: Region<Mailbox> = Region::first("mailbox");
-    const THERE: Inward<WORDS, SLOTS> = (Self::MAILBOX, Self::MAILBOX.then("channel"));
+    const THERE: Inward<WORDS> = (Self::MAILBOX, Self::MAILBOX.then("channel"));
     const BACK_MAILBOX: Region<Mailbox> = Self::THERE.1.then("mailbox");
-    const BACK: Inward<WORDS, SLOTS> = (Self::BACK_MAILBOX, Self::BACK_MAILBOX.then("channel"));
-    const WAYS: [Inward<WORDS, SLOTS>; 2] = [Self::THERE, Self::BACK];
+    const BACK: Inward<WORDS> = (Self::BACK_MAILBOX, Self::BACK_MAILBOX.then("channel"));
+    const WAYS: [Inward<WORDS>; 2] = [Self::THERE, Self::BACK];
     const LAYOUT: Layout = Self::BACK.1.end();
 }
 
@@ -77,7 +79,7 @@ fn handle<const WORDS: usize>(inbox: &mut Inbox<WORDS>, _: u32, call: Call) {
 
 fn handle_channel<const WORDS: usize>(inbox: &mut Inbox<WORDS>, _: u32, _: Call) {
     let payload = inbox.payload.read();
-    inbox.received = payload.ok().map(|(_, words)| sum_from(words.into_iter()));
+    inbox.received = payload.ok().map(|(_, words)| sum_from(&words));
 }
 
 /// How the payload travels.
@@ -253,10 +255,13 @@ mod tests {
     #[test]
     fn a_payload_is_known_by_all_its_words() {
         let stamp = u32::MAX - 3;
-        let words: Vec<u32> = (0..10).map(|at| word(stamp, at)).collect();
-        assert_eq!(sum_from(words.iter().copied()), stamp);
+        let mut words = [MaybeUninit::uninit(); 10];
+        fill(&mut words, stamp);
+        // SAFETY: `fill` has written all words.
+        let words = words.map(|word| unsafe { word.assume_init() });
+        assert_eq!(sum_from(&words), stamp);
         let torn = [words[0], words[1] + 1];
-        assert!(std::panic::catch_unwind(|| sum_from(torn.into_iter())).is_err());
+        assert!(std::panic::catch_unwind(|| sum_from(&torn)).is_err());
     }
 
     #[test]
