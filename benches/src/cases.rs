@@ -106,6 +106,8 @@ type Cases = (
 
 const KIB: usize = 1 << 10;
 const MIB: usize = 1 << 20;
+/// Words of a scene of the controller.
+const SCENE: usize = 280;
 const ADAPTIVE: WaitPolicy = SpinThenSleep { spins: 2000 };
 
 /// Cases whose receiver sleeps in the kernel, on two CPUs or on one.
@@ -116,8 +118,8 @@ const SLEEPERS: &[(&str, &str, Run)] = &[
         |p| sync::<1>(p, Sleep, Signal)),
     ("tandem-adaptive", "the same, polling 2000 times before it sleeps",
         |p| sync::<1>(p, ADAPTIVE, Signal)),
-    ("tandem-scene", "as the controller sends: channel of 266 words, signal, doorbell, handler",
-        |p| sync::<266>(p, Sleep, Channel)),
+    ("tandem-scene", "as the controller sends: channel of 280 words, signal, doorbell, handler",
+        |p| sync::<SCENE>(p, Sleep, Channel)),
     ("eventfd", "eventfd beside shared memory", kernel::eventfd),
     ("iceoryx2-event", "event with default settings", iceoryx2::event),
     ("iceoryx2-event-tuned", "event by iceoryx2's semaphore, one id", iceoryx2::event_tuned),
@@ -133,8 +135,10 @@ const CASES: &[Cases] = &[
         ("tandem", "mailbox signal with its value, running handler", |p| sync::<1>(p, Spin, Signal)),
         ("tandem-channel", "newest-value channel, mailbox signal, running handler",
             |p| sync::<1>(p, Spin, Channel)),
-        ("tandem-scene", "the same with the 266 words of a scene, each written and read",
-            |p| sync::<266>(p, Spin, Channel)),
+        ("scene-floor", "the lines of a scene as bare words, with a line that announces them",
+            floor::words::<SCENE>),
+        ("tandem-scene", "the same with the 280 words of a scene, each written and read",
+            |p| sync::<SCENE>(p, Spin, Channel)),
         ("iceoryx2-pubsub", "publish-subscribe with default settings, polled",
             |p| iceoryx2::publish_subscribe(p, Settings::Default, 1)),
         ("iceoryx2-pubsub-tuned", "the same for one subscriber, buffer of 1, no overflow",

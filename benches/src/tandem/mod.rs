@@ -268,7 +268,7 @@ mod tests {
     fn each_batch_has_a_place_of_its_own_in_the_lmu() {
         let words: Vec<AtomicU32> = (0..LMU_WORDS + PAIR).map(|_| AtomicU32::new(0)).collect();
         let skipped = words.as_ptr().align_offset(4 * PAIR);
-        for layout in [Regions::<1>::LAYOUT, Regions::<266>::LAYOUT] {
+        for layout in [Regions::<1>::LAYOUT, Regions::<280>::LAYOUT] {
             let places = (0..30).map(|_| place(layout));
             let places: std::collections::HashSet<usize> = places.collect();
             // All 30 draws are equal in one of 10^60 runs.
