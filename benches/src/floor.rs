@@ -3,9 +3,9 @@
 use crate::harness::{Batch, BatchPlan, End, between_processes, give_way, polled, repeated};
 use crate::mutual_exclusion::{Exclusion, contended};
 use crate::open_loop::at_fixed_rate;
+use crate::payload::{sum_from, word};
 use crate::shared::{LINE, PAIR, SharedPage};
 use crate::stream::{Stream, from_processes};
-use crate::tandem::{sum_from, word};
 use std::hint::{black_box, spin_loop};
 use std::io;
 use std::sync::atomic::AtomicU32;
@@ -36,9 +36,8 @@ pub(crate) fn words<const WORDS: usize>(plan: &BatchPlan) -> io::Result<Batch> {
     let way_words = (LINE + SLOTS * slot_words).next_multiple_of(PAIR);
     let shared = SharedPage::with_case_words(2 * way_words)?;
     let way = |way: usize| &shared.case()[way * way_words..][..way_words];
-    let slot = |way: &'static [AtomicU32], k: u32| {
-        &way[LINE + k as usize % SLOTS * slot_words..][..WORDS]
-    };
+    let slot =
+        |way: &'static [AtomicU32], k: u32| &way[LINE + k as usize % SLOTS * slot_words..][..WORDS];
     let batch = between_processes(plan, |_, ways| {
         let [out, inward] = ways.map(way);
         let (mut sent, mut received) = (0, 0);

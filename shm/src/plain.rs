@@ -73,7 +73,10 @@
 //! }
 //! ```
 
-#![allow(unsafe_code, reason = "plain access to words that their holder alone uses")]
+#![allow(
+    unsafe_code,
+    reason = "plain access to words that their holder alone uses"
+)]
 
 use core::ops::Deref;
 

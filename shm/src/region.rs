@@ -388,7 +388,10 @@ impl<const BYTES: usize, const SLOTS: usize> Region<Plain<BYTES, SLOTS>> {
         incarnation: Incarnation,
     ) -> Result<plain::Producer<'a, BYTES>, EndError> {
         let words = self.claimed(map, fifo::PRODUCER_CLAIM_AT, incarnation)?;
-        Ok(plain::Producer::attach(words, Plain::<BYTES, SLOTS>::SHAPE)?)
+        Ok(plain::Producer::attach(
+            words,
+            Plain::<BYTES, SLOTS>::SHAPE,
+        )?)
     }
 
     /// Attaches the receiving end.
@@ -401,7 +404,10 @@ impl<const BYTES: usize, const SLOTS: usize> Region<Plain<BYTES, SLOTS>> {
         incarnation: Incarnation,
     ) -> Result<plain::Consumer<'a, BYTES>, EndError> {
         let words = self.claimed(map, fifo::CONSUMER_CLAIM_AT, incarnation)?;
-        Ok(plain::Consumer::attach(words, Plain::<BYTES, SLOTS>::SHAPE)?)
+        Ok(plain::Consumer::attach(
+            words,
+            Plain::<BYTES, SLOTS>::SHAPE,
+        )?)
     }
 }
 

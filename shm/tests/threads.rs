@@ -145,7 +145,10 @@ fn blocks_change_hands_in_place() {
         let mut producer = BLOCKS.producer(&map, to).unwrap();
         assert!(BLOCKS.producer(&map, to).is_err(), "there is one producer");
         let mut consumer = BLOCKS.consumer(&map, from).unwrap();
-        assert!(BLOCKS.consumer(&map, from).is_err(), "there is one consumer");
+        assert!(
+            BLOCKS.consumer(&map, from).is_err(),
+            "there is one consumer"
+        );
         thread::scope(|scope| {
             let written = scope.spawn(move || {
                 let mut written = Vec::new();

@@ -2,10 +2,10 @@
 
 use crate::harness::{Batch, BatchPlan, End, between_processes, between_unlike, next_run, polled};
 use crate::open_loop::at_fixed_rate;
+use crate::payload::{fill, sum_from};
 use crate::peers::iceoryx2_semaphore::BySemaphore;
 use crate::shared::SharedPage;
 use crate::stream::{Stream, from_processes};
-use crate::tandem::{fill, sum_from};
 use core::mem::MaybeUninit;
 use iceoryx2::active_request::ActiveRequest;
 use iceoryx2::config::Config;

@@ -1,9 +1,9 @@
 //! Channels in memory of the harness, so that any payload fits: an LMU has only 32 KiB. Their code
 //! is the same as in an LMU. Measures blocks of any size, FIFOs, and the broadcast ring.
 
-use super::{fill, sum_from};
 use crate::clock::ticks;
 use crate::harness::{Batch, BatchPlan, between_processes, give_way, polled};
+use crate::payload::{fill, sum_from};
 use crate::shared::{SharedPage, announce};
 use crate::stream::{Stream, from_processes};
 use crate::worker::{BatchPart, PartContext, perform};

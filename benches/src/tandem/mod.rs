@@ -6,9 +6,9 @@ pub(crate) mod lock;
 
 use crate::harness::{Batch, BatchPlan, End, between_processes};
 use crate::open_loop::at_fixed_rate;
+use crate::payload::{sum_from, word};
 use crate::shared::{PAIR, SharedPage, announce, draw};
 use std::io;
-use std::mem::MaybeUninit;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Duration, Generation};
@@ -18,37 +18,6 @@ use tandem_shm::map::{Layout, Map};
 use tandem_shm::newest::Reader;
 use tandem_shm::region::{Mailbox, Newest, Region};
 use tandem_shm::wait::{Awaited, WaitPolicy};
-
-/// Returns the word at this place of a payload.
-#[inline]
-pub(crate) const fn word(stamp: u32, at: usize) -> u32 {
-    stamp.wrapping_add(at as u32)
-}
-
-/// Writes each word of a payload in place.
-#[inline]
-pub(crate) fn fill(words: &mut [MaybeUninit<u32>], stamp: u32) {
-    for (at, place) in words.iter_mut().enumerate() {
-        place.write(word(stamp, at));
-    }
-}
-
-/// Returns the stamp of a payload, after all its words were read.
-///
-/// # Panics
-/// If a word is not what was written.
-#[inline]
-pub(crate) fn sum_from(words: &[u32]) -> u32 {
-    let (stamp, count) = (words[0], words.len() as u32);
-    let sum = words.iter().fold(0u32, |sum, word| sum.wrapping_add(*word));
-    let places = (u64::from(count) * (u64::from(count) - 1) / 2) as u32;
-    assert_eq!(
-        sum,
-        stamp.wrapping_mul(count).wrapping_add(places),
-        "a payload arrived torn"
-    );
-    stamp
-}
 
 /// The mailbox towards a core, and a channel of `WORDS` words.
 type Inward<const WORDS: usize> = (Region<Mailbox>, Region<Newest<[u32; WORDS]>>);
@@ -251,18 +220,6 @@ pub(crate) fn at_rate(plan: &BatchPlan, policy: WaitPolicy) -> io::Result<Batch>
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_payload_is_known_by_all_its_words() {
-        let stamp = u32::MAX - 3;
-        let mut words = [MaybeUninit::uninit(); 10];
-        fill(&mut words, stamp);
-        // SAFETY: `fill` has written all words.
-        let words = words.map(|word| unsafe { word.assume_init() });
-        assert_eq!(sum_from(&words), stamp);
-        let torn = [words[0], words[1] + 1];
-        assert!(std::panic::catch_unwind(|| sum_from(&torn)).is_err());
-    }
 
     #[test]
     fn each_batch_has_a_place_of_its_own_in_the_lmu() {
