@@ -106,6 +106,8 @@ type Cases = (
 
 const KIB: usize = 1 << 10;
 const MIB: usize = 1 << 20;
+/// Words of a scene of the controller.
+const SCENE: usize = 280;
 const ADAPTIVE: WaitPolicy = SpinThenSleep { spins: 2000 };
 
 /// Cases whose receiver sleeps in the kernel, on two CPUs or on one.
@@ -116,8 +118,8 @@ const SLEEPERS: &[(&str, &str, Run)] = &[
         |p| sync::<1>(p, Sleep, Signal)),
     ("tandem-adaptive", "the same, polling 2000 times before it sleeps",
         |p| sync::<1>(p, ADAPTIVE, Signal)),
-    ("tandem-scene", "as the controller sends: channel of 266 words, signal, doorbell, handler",
-        |p| sync::<266>(p, Sleep, Channel)),
+    ("tandem-scene", "as the controller sends: channel of 280 words, signal, doorbell, handler",
+        |p| sync::<SCENE>(p, Sleep, Channel)),
     ("eventfd", "eventfd beside shared memory", kernel::eventfd),
     ("iceoryx2-event", "event with default settings", iceoryx2::event),
     ("iceoryx2-event-tuned", "event by iceoryx2's semaphore, one id", iceoryx2::event_tuned),
@@ -133,8 +135,10 @@ const CASES: &[Cases] = &[
         ("tandem", "mailbox signal with its value, running handler", |p| sync::<1>(p, Spin, Signal)),
         ("tandem-channel", "newest-value channel, mailbox signal, running handler",
             |p| sync::<1>(p, Spin, Channel)),
-        ("tandem-scene", "the same with the 266 words of a scene, each written and read",
-            |p| sync::<266>(p, Spin, Channel)),
+        ("scene-floor", "the lines of a scene as bare words, with a line that announces them",
+            floor::words::<SCENE>),
+        ("tandem-scene", "the same with the 280 words of a scene, each written and read",
+            |p| sync::<SCENE>(p, Spin, Channel)),
         ("iceoryx2-pubsub", "publish-subscribe with default settings, polled",
             |p| iceoryx2::publish_subscribe(p, Settings::Default, 1)),
         ("iceoryx2-pubsub-tuned", "the same for one subscriber, buffer of 1, no overflow",
@@ -150,23 +154,35 @@ const CASES: &[Cases] = &[
     (Comparison::Size, 10_000, &[
         ("floor", "a cache line between two processes",
             |p| Ok(floor::cache_line(p)?.without_facts())),
-        ("tandem-4B", "each word written to a newest-value channel, signalled, read in place",
-            in_place::<1>),
-        ("tandem-64B", "the same", in_place::<16>),
-        ("tandem-1KiB", "the same: as large as a scene of the controller", in_place::<256>),
-        ("tandem-4KiB", "the same", in_place::<KIB>),
-        ("iceoryx2-4B", "each word written to a lent sample, published, polled, read in place",
+        ("tandem-4B", "each byte of a lent block written, handed over, polled, read in place",
+            in_place::<4>),
+        ("tandem-64B", "the same", in_place::<64>),
+        ("tandem-1KiB", "the same", in_place::<KIB>),
+        ("tandem-4KiB", "the same", in_place::<{ 4 * KIB }>),
+        ("iceoryx2-4B", "each byte of a lent sample written, published, polled, read in place",
             |p| iceoryx2::size(p, 4)),
         ("iceoryx2-64B", "the same", |p| iceoryx2::size(p, 64)),
         ("iceoryx2-1KiB", "the same", |p| iceoryx2::size(p, KIB)),
         ("iceoryx2-4KiB", "the same", |p| iceoryx2::size(p, 4 * KIB)),
     ]),
-    (Comparison::Size, 60, &[
-        ("tandem-1MiB", "the same", in_place::<{ MIB / 4 }>),
+    (Comparison::Size, 1000, &[
+        ("tandem-16KiB", "the same", in_place::<{ 16 * KIB }>),
+        ("iceoryx2-16KiB", "the same", |p| iceoryx2::size(p, 16 * KIB)),
+        ("tandem-64KiB", "the same", in_place::<{ 64 * KIB }>),
+        ("iceoryx2-64KiB", "the same", |p| iceoryx2::size(p, 64 * KIB)),
+    ]),
+    (Comparison::Size, 200, &[
+        ("tandem-256KiB", "the same", in_place::<{ 256 * KIB }>),
+        ("iceoryx2-256KiB", "the same", |p| iceoryx2::size(p, 256 * KIB)),
+        ("tandem-1MiB", "the same", in_place::<MIB>),
         ("iceoryx2-1MiB", "the same", |p| iceoryx2::size(p, MIB)),
     ]),
+    (Comparison::Size, 30, &[
+        ("tandem-4MiB", "the same", in_place::<{ 4 * MIB }>),
+        ("iceoryx2-4MiB", "the same", |p| iceoryx2::size(p, 4 * MIB)),
+    ]),
     (Comparison::Size, 8, &[
-        ("tandem-16MiB", "the same", in_place::<{ 4 * MIB }>),
+        ("tandem-16MiB", "the same", in_place::<{ 16 * MIB }>),
         ("iceoryx2-16MiB", "the same", |p| iceoryx2::size(p, 16 * MIB)),
     ]),
     (Comparison::Throughput, 400, &[

@@ -3,7 +3,8 @@
 use crate::harness::{Batch, BatchPlan, End, between_processes, give_way, polled, repeated};
 use crate::mutual_exclusion::{Exclusion, contended};
 use crate::open_loop::at_fixed_rate;
-use crate::shared::{LINE, SharedPage};
+use crate::payload::{sum_from, word};
+use crate::shared::{LINE, PAIR, SharedPage};
 use crate::stream::{Stream, from_processes};
 use std::hint::{black_box, spin_loop};
 use std::io;
@@ -24,6 +25,47 @@ pub(crate) fn cache_line(plan: &BatchPlan) -> io::Result<Batch> {
         };
         (send, receive)
     })
+}
+
+/// One-way time of a payload of `WORDS` words and a line that announces it, in memory as the LMU:
+/// words of 32 bits, each written once and read once, in four slots in turn. A word of each line is
+/// touched first, so that all lines move at the same time. There is no check for torn values.
+pub(crate) fn words<const WORDS: usize>(plan: &BatchPlan) -> io::Result<Batch> {
+    const SLOTS: usize = 4;
+    let slot_words = WORDS.next_multiple_of(LINE);
+    let way_words = (LINE + SLOTS * slot_words).next_multiple_of(PAIR);
+    let shared = SharedPage::with_case_words(2 * way_words)?;
+    let way = |way: usize| &shared.case()[way * way_words..][..way_words];
+    let slot =
+        |way: &'static [AtomicU32], k: u32| &way[LINE + k as usize % SLOTS * slot_words..][..WORDS];
+    let batch = between_processes(plan, |_, ways| {
+        let [out, inward] = ways.map(way);
+        let (mut sent, mut received) = (0, 0);
+        let send = move |stamp| {
+            let words = slot(out, sent);
+            for place in words.iter().step_by(LINE) {
+                place.store(0, Relaxed);
+            }
+            for (at, place) in words.iter().enumerate() {
+                place.store(word(stamp, at), Relaxed);
+            }
+            sent += 1;
+            // Release pairs with the Acquire below: the words are there.
+            out[0].store(sent, Release);
+        };
+        let receive = move || {
+            polled(|| (inward[0].load(Acquire) != received).then_some(()));
+            let words = slot(inward, received);
+            received += 1;
+            for place in words.iter().step_by(LINE) {
+                black_box(place.load(Relaxed));
+            }
+            let words: [u32; WORDS] = std::array::from_fn(|at| words[at].load(Relaxed));
+            sum_from(&words)
+        };
+        (send, receive)
+    })?;
+    Ok(batch.carrying(4 * WORDS as u64))
 }
 
 /// Ends on two cache lines; the receiver sleeps in the kernel until the word changes.

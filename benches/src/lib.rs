@@ -21,6 +21,7 @@ pub mod mutual_exclusion;
 mod noise;
 mod open_loop;
 mod page;
+mod payload;
 mod peers;
 mod provider;
 mod result;

@@ -109,9 +109,10 @@ pub fn freeze_at<T>(
     (value, !unused)
 }
 
-/// An atomic word that calls `step` at each access.
+/// An atomic word that calls `step` at each access. In a loom model it also checks plain accesses.
 #[derive(Debug, Default)]
-pub struct AtomicU32(Word);
+#[cfg_attr(not(loom), repr(transparent))]
+pub struct AtomicU32(Word, #[cfg(loom)] loom::cell::UnsafeCell<()>);
 
 impl AtomicU32 {
     /// Returns a word with this value.
@@ -123,7 +124,19 @@ impl AtomicU32 {
     /// Returns a word with this value.
     #[cfg(loom)]
     pub fn new(value: u32) -> Self {
-        Self(Word::new(value))
+        Self(Word::new(value), loom::cell::UnsafeCell::new(()))
+    }
+
+    /// A plain read: the model fails if it is not ordered after each plain write.
+    #[cfg(loom)]
+    pub(crate) fn read_plainly(&self) {
+        self.1.with(|_| ());
+    }
+
+    /// A plain write: the model fails if it is not ordered after each other plain access.
+    #[cfg(loom)]
+    pub(crate) fn write_plainly(&self) {
+        self.1.with_mut(|_| ());
     }
 
     /// Returns the word for one access, or `None` for a killed operation, whose loads return 0.

@@ -1,9 +1,9 @@
 //! The LMU: map, lock, sync mailbox, pool, channels (no_std).
 //!
 //! The LMU is a slice of 32-bit atomic words that every core maps, each at its own address. All
-//! primitives use sub-slices of it and access single words. So this crate has no `unsafe` code and
-//! needs no atomic wider than 32 bits, and Miri and loom can check it. Cores exchange only indices
-//! with stamps, never addresses.
+//! primitives use sub-slices of it and access single words. So this crate needs no atomic wider
+//! than 32 bits, and Miri and loom can check it. Only [`plain`] has `unsafe` code. Cores exchange
+//! only indices with stamps, never addresses.
 //!
 //! | module | what it is | who writes |
 //! |---|---|---|
@@ -15,6 +15,7 @@
 //! | [`pool`] | words that cores borrow and give back | any core |
 //! | [`newest`] | the newest value, never torn | one writer, any number of readers |
 //! | [`fifo`] | every value, in order, or full | one producer, one consumer |
+//! | [`plain`] | blocks of bytes that change hands, as plain slices | one producer, one consumer |
 //! | [`broadcast`] | every value, in order, or how many were lost | one writer, many receivers |
 //! | [`topic`] | one interface for topics over any transport | one publisher, many subscribers |
 //! | [`wait`] | spin, spin then sleep, sleep | no core |
@@ -86,7 +87,7 @@
 //! assert_eq!(hand_over(&map, here, there), Ok(Some(42)));
 //! ```
 #![cfg_attr(not(test), no_std)]
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 
 #[cfg(any(loom, stepped))]
 extern crate std;
@@ -104,6 +105,7 @@ pub mod mailbox;
 pub mod map;
 pub mod newest;
 mod payload;
+pub mod plain;
 pub mod pool;
 pub mod region;
 mod ring;

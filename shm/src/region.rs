@@ -48,6 +48,7 @@ use crate::incarnation::{Incarnation, Incarnations};
 use crate::lock::{self, Lock};
 use crate::map::{Layout, Map};
 use crate::payload::Payload;
+use crate::plain::{self, PlainMap};
 use crate::pool::{self, Pool};
 use crate::shape::{FitError, Shape};
 use crate::sync::{AtomicU32, Ordering};
@@ -84,6 +85,10 @@ pub struct Newest<T, const SLOTS: usize = 4>(PhantomData<fn() -> T>);
 #[derive(Debug)]
 pub struct Fifo<T, const SLOTS: usize>(PhantomData<fn() -> T>);
 
+/// A queue of `SLOTS` blocks of `BYTES` bytes, for plain access: see [`plain`].
+#[derive(Debug)]
+pub enum Plain<const BYTES: usize, const SLOTS: usize> {}
+
 /// A broadcast ring: see [`broadcast`].
 #[derive(Debug)]
 pub struct Broadcast<T, const SLOTS: usize>(PhantomData<fn() -> T>);
@@ -117,6 +122,14 @@ impl<T: Payload, const SLOTS: usize> Fifo<T, SLOTS> {
 }
 
 impl<T: Payload, const SLOTS: usize> RegionKind for Fifo<T, SLOTS> {
+    const WORDS: usize = fifo::words(Self::SHAPE);
+}
+
+impl<const BYTES: usize, const SLOTS: usize> Plain<BYTES, SLOTS> {
+    const SHAPE: Shape = plain::shape(BYTES, SLOTS);
+}
+
+impl<const BYTES: usize, const SLOTS: usize> RegionKind for Plain<BYTES, SLOTS> {
     const WORDS: usize = fifo::words(Self::SHAPE);
 }
 
@@ -361,6 +374,40 @@ impl<T: Payload, const SLOTS: usize> Region<Fifo<T, SLOTS>> {
     ) -> Result<fifo::Consumer<'a, T>, EndError> {
         let words = self.claimed(map, fifo::CONSUMER_CLAIM_AT, incarnation)?;
         Ok(fifo::Consumer::attach(words, Fifo::<T, SLOTS>::SHAPE)?)
+    }
+}
+
+impl<const BYTES: usize, const SLOTS: usize> Region<Plain<BYTES, SLOTS>> {
+    /// Attaches the sending end.
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn producer<'a>(
+        &self,
+        map: &PlainMap<'a>,
+        incarnation: Incarnation,
+    ) -> Result<plain::Producer<'a, BYTES>, EndError> {
+        let words = self.claimed(map, fifo::PRODUCER_CLAIM_AT, incarnation)?;
+        Ok(plain::Producer::attach(
+            words,
+            Plain::<BYTES, SLOTS>::SHAPE,
+        )?)
+    }
+
+    /// Attaches the receiving end.
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn consumer<'a>(
+        &self,
+        map: &PlainMap<'a>,
+        incarnation: Incarnation,
+    ) -> Result<plain::Consumer<'a, BYTES>, EndError> {
+        let words = self.claimed(map, fifo::CONSUMER_CLAIM_AT, incarnation)?;
+        Ok(plain::Consumer::attach(
+            words,
+            Plain::<BYTES, SLOTS>::SHAPE,
+        )?)
     }
 }
 

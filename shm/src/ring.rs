@@ -131,6 +131,10 @@ impl<'a> Ring<'a> {
         f: impl FnOnce(&'a [AtomicU32]) -> R,
     ) -> Option<R> {
         let (stamp, words) = self.slot(k, count);
+        for word in further_lines(words) {
+            // Relaxed, because the value is not used.
+            core::hint::black_box(word.load(Ordering::Relaxed));
+        }
         // Relaxed, as in `is_complete`.
         if stamp.load(Ordering::Relaxed) != complete(k) {
             return None;
@@ -154,6 +158,13 @@ impl<'a> Ring<'a> {
         fence(Ordering::Acquire);
         self.stamp(k).load(Ordering::Relaxed) == complete(k)
     }
+}
+
+/// Returns a word of each line of a slot but the first, which holds the stamp. All are accessed
+/// before the words in order: the lines of a long value then move at the same time.
+#[inline]
+fn further_lines(words: &[AtomicU32]) -> impl Iterator<Item = &AtomicU32> {
+    words.iter().skip(LINE_WORDS - 1).step_by(LINE_WORDS)
 }
 
 /// Returns the stamp of value k when it is complete.
@@ -219,7 +230,11 @@ impl<T: Payload> Writer<'_, T> {
     #[inline]
     pub fn publish(&mut self, value: &T) -> Stamp {
         self.ring.begin(self.next);
-        store(self.ring.slot(self.next, T::WORDS).1, value);
+        let words = self.ring.slot(self.next, T::WORDS).1;
+        for word in further_lines(words) {
+            word.store(0, Ordering::Relaxed);
+        }
+        store(words, value);
         self.complete()
     }
 }

@@ -9,8 +9,11 @@ use tandem_shm::broadcast::{self, Lost};
 use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock;
 use tandem_shm::mailbox::{self, Ring, TaskId};
+use tandem_shm::map::Map;
 use tandem_shm::newest::{self, ReadError};
+use tandem_shm::plain::PlainMap;
 use tandem_shm::pool::{self, Handle};
+use tandem_shm::region::{Plain, Region};
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
 use tandem_shm::{LINE_WORDS, Shape, fifo};
 
@@ -121,6 +124,62 @@ fn fifo_values_arrive_once_and_in_order() {
             for k in 0..TIMES {
                 assert_eq!(next(&mut consumer), [k; 3]);
             }
+        });
+    });
+}
+
+const BLOCKS: Region<Plain<23, 2>> = Region::first("blocks");
+
+/// Each block is written and read as a plain slice, at the same address: nothing is copied. Under
+/// Miri an access that is not ordered after those of the other thread ends the test.
+#[test]
+fn blocks_change_hands_in_place() {
+    with_words(BLOCKS.end().total_words(), |words| {
+        let map = Map::format(words, BLOCKS.end()).unwrap();
+        // SAFETY: only the two ends below access the region, and no end has a successor.
+        let map = unsafe { PlainMap::new(map) };
+        let [to, from] = [0, 1].map(|core| Incarnation::new(core, 1).unwrap());
+        for incarnation in [to, from] {
+            map.incarnations().announce(incarnation).unwrap();
+        }
+        let mut producer = BLOCKS.producer(&map, to).unwrap();
+        assert!(BLOCKS.producer(&map, to).is_err(), "there is one producer");
+        let mut consumer = BLOCKS.consumer(&map, from).unwrap();
+        assert!(
+            BLOCKS.consumer(&map, from).is_err(),
+            "there is one consumer"
+        );
+        thread::scope(|scope| {
+            let written = scope.spawn(move || {
+                let mut written = Vec::new();
+                for k in 0..TIMES {
+                    let mut loan = loop {
+                        match producer.loan() {
+                            Ok(loan) => break loan,
+                            Err(fifo::Full) => thread::yield_now(),
+                        }
+                    };
+                    loan.bytes_mut().fill(k as u8);
+                    written.push(loan.bytes_mut().as_ptr().addr());
+                    loan.send();
+                }
+                written
+            });
+            let mut read = Vec::new();
+            while read.len() < TIMES as usize {
+                let Some(item) = consumer.item() else {
+                    thread::yield_now();
+                    continue;
+                };
+                assert_eq!(item.bytes(), &[read.len() as u8; 23]);
+                assert_eq!(item.bytes(), &[read.len() as u8; 23], "it does not change");
+                read.push(item.bytes().as_ptr().addr());
+                item.release();
+            }
+            assert_eq!(written.join().unwrap(), read);
+            let lmu = words.as_ptr_range();
+            let inside = |addr| (lmu.start.addr()..lmu.end.addr()).contains(&addr);
+            assert!(read.into_iter().all(inside));
         });
     });
 }

@@ -2,10 +2,10 @@
 
 use crate::harness::{Batch, BatchPlan, End, between_processes, between_unlike, next_run, polled};
 use crate::open_loop::at_fixed_rate;
+use crate::payload::{fill, sum_from};
 use crate::peers::iceoryx2_semaphore::BySemaphore;
 use crate::shared::SharedPage;
 use crate::stream::{Stream, from_processes};
-use crate::tandem::{sum_from, word};
 use core::mem::MaybeUninit;
 use iceoryx2::active_request::ActiveRequest;
 use iceoryx2::config::Config;
@@ -197,8 +197,11 @@ impl Out {
     /// Fills and delivers the loaned sample. Returns whether a subscriber received it.
     #[inline]
     fn deliver(&mut self, stamp: u32) -> bool {
-        let sample = self.lent.take();
-        let sent = sample.map(|sample| sample.write_from_fn(|at| word(stamp, at)).send());
+        let sent = self.lent.take().map(|mut sample| {
+            fill(sample.payload_mut(), stamp);
+            // SAFETY: `fill` has written all words.
+            unsafe { sample.assume_init() }.send()
+        });
         matches!(sent, Some(Ok(receivers)) if receivers > 0)
     }
 }
@@ -207,7 +210,7 @@ impl Out {
 #[inline]
 fn try_receive(subscriber: &Subscriber<Ipc, [u32], ()>) -> Option<u32> {
     let sample = subscriber.receive().ok().flatten()?;
-    Some(sum_from(sample.iter().copied()))
+    Some(sum_from(&sample))
 }
 
 /// Zero-copy publish-subscribe of `words` words; the subscriber polls.

@@ -1,54 +1,57 @@
 //! Channels in memory of the harness, so that any payload fits: an LMU has only 32 KiB. Their code
-//! is the same as in an LMU. Measures newest values of any size, FIFOs, and the broadcast ring.
+//! is the same as in an LMU. Measures blocks of any size, FIFOs, and the broadcast ring.
 
-use super::{Regions, sum_from, word};
 use crate::clock::ticks;
 use crate::harness::{Batch, BatchPlan, between_processes, give_way, polled};
+use crate::payload::{fill, sum_from};
 use crate::shared::{SharedPage, announce};
 use crate::stream::{Stream, from_processes};
 use crate::worker::{BatchPart, PartContext, perform};
 use std::io;
-use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
-use tandem_shm::mailbox::{Ring, TaskId};
+use std::sync::atomic::Ordering::{Acquire, Release};
 use tandem_shm::map::{Layout, Map};
-use tandem_shm::region::{Broadcast, Fifo, Region};
+use tandem_shm::plain::PlainMap;
+use tandem_shm::region::{Broadcast, Fifo, Plain, Region};
 
-/// Two, because in a ping-pong one value is written while the other may still be read.
-const SLOTS: usize = 2;
+/// The queues of both directions. Two blocks each: one may be filled while the other one is read.
+struct Blocks<const BYTES: usize>;
 
-/// One-way time of a payload of `WORDS` words between cores that spin, from before its first word
-/// is written until its last word has been read: it is written and read in place.
-pub(crate) fn in_place<const WORDS: usize>(plan: &BatchPlan) -> io::Result<Batch> {
-    let (_payloads, map) = SharedPage::with_lmu(Regions::<WORDS, SLOTS>::LAYOUT)?;
+impl<const BYTES: usize> Blocks<BYTES> {
+    const THERE: Region<Plain<BYTES, 2>> = Region::first("there");
+    const BACK: Region<Plain<BYTES, 2>> = Self::THERE.then("back");
+    const WAYS: [Region<Plain<BYTES, 2>>; 2] = [Self::THERE, Self::BACK];
+}
+
+/// One-way time of a block of `BYTES` bytes, a multiple of 4, between cores that spin: from before
+/// its first byte is written until its last byte has been read, in place.
+pub(crate) fn in_place<const BYTES: usize>(plan: &BatchPlan) -> io::Result<Batch> {
+    let (_blocks, map) = SharedPage::with_lmu(Blocks::<BYTES>::BACK.end())?;
+    // SAFETY: only the ends below access the queues, and no end has a successor.
+    let map = unsafe { PlainMap::new(map) };
     let batch = between_processes(plan, |_, [core, peer]| {
         let own = announce(&map, core, 1);
-        let [out, inward] = [core, peer].map(|way| Regions::<WORDS, SLOTS>::WAYS[way]);
-        let mut signal = out.0.sender(&map, own).expect("it is free");
-        let mut payload = out.1.writer(&map, own).expect("it is free");
-        let mut signals = inward.0.receiver(&map, own).expect("it is free");
-        let payloads = inward.1.reader(&map).expect("it fits");
+        let [out, inward] = [core, peer].map(|way| Blocks::<BYTES>::WAYS[way]);
+        let mut out = out.producer(&map, own).expect("it is free");
+        let mut inward = inward.consumer(&map, own).expect("it is free");
         let send = move |stamp| {
-            let mut loan = payload.loan();
-            for (at, place) in loan.words().as_slice().iter().enumerate() {
-                place.store(word(stamp, at), Relaxed);
-            }
-            loan.publish();
-            // The receiver spins: no doorbell is needed.
-            let _: Ring = signal.signal(TaskId::FIRST);
+            let mut loan = out.loan().expect("the other end has released all");
+            // SAFETY: any four bytes are a word, and only words are written to it.
+            let (_, words, _) = unsafe { loan.bytes_mut().align_to_mut() };
+            fill(words, stamp);
+            loan.send();
         };
         let receive = move || {
             polled(|| {
-                payloads.prefetch();
-                (signals.poll(|_| {}) > 0).then_some(())
-            });
-            let view = payloads.view().expect("a signal follows its payload");
-            let stamp = sum_from(view.words().iter());
-            view.finish().expect("no second payload is under way");
-            stamp
+                let block = inward.item()?;
+                // SAFETY: any four bytes are a word.
+                let stamp = sum_from(unsafe { block.bytes().align_to().1 });
+                block.release();
+                Some(stamp)
+            })
         };
         (send, receive)
     })?;
-    Ok(batch.carrying(4 * WORDS as u64).without_facts())
+    Ok(batch.carrying(BYTES as u64).without_facts())
 }
 
 /// Streams messages of `WORDS` words from one or two processes (`WAYS`) to one, each by a FIFO of
