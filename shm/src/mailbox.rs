@@ -4,15 +4,16 @@
 //! read-modify-write. For each id (1 ..= 15; 0 means none) the sender counts the signals that it
 //! has sent and the receiver those that it has handled; the difference is the number of open
 //! signals. One word, *posted*, holds the number of all signals so far and the id of the last one.
-//! The sender counts a signal before it posts it, so each count that the receiver reads after a
-//! post includes all signals up to that post.
+//! The sender posts a signal, passes the fence that the sleeper's flag needs anyway, and then counts
+//! it. So a count that the receiver reads includes only posted signals, and after a post all counts
+//! include the signals before that one; only the last signal may be posted and not yet counted.
 //!
 //! The receiver compares that number with the number of signals that it has handled. If it is
 //! higher by one, exactly one signal is open, and its id is the posted one: the receiver handles it
-//! without reading a count. Otherwise it compares all counts. It may then handle a signal that is
-//! counted but not yet posted, so that it has handled more signals than were posted. Until both
-//! numbers are equal again, it compares all counts at each new post, because it cannot know which
-//! signal a post reports.
+//! without reading a count. Otherwise it compares all counts, and then reads the posted word again.
+//! If it is the same, the counts include no later signal, so the number of handled signals shows
+//! whether they include the last one; its id is the posted one. If the word has changed, the next
+//! poll compares again.
 //!
 //! A signal may carry a value of 32 bits, which lies beside its count: [`Sender::signal_with`]. The
 //! task gets the newest value. Count and value of the ids 1 ..= 7 lie in the same cache line as the
@@ -83,14 +84,25 @@ const fn handled_at(index: usize) -> usize {
 /// The posted word, from the lowest bit: the index of the last signal's task (4 bits), a bit that
 /// is always 0, the number of signals (27 bits).
 const NUMBER_SHIFT: u32 = 5;
-/// The index in the first post of a new sender. It names no task, because the predecessor may have
-/// counted signals without posting them.
+/// The index in the first post of a new sender: it posts no signal.
 const NO_TASK: u32 = TASKS as u32;
 
 /// Returns the next posted word, without an index.
 #[inline]
 const fn next_post(posted: u32) -> u32 {
     (posted | ((1 << NUMBER_SHIFT) - 1)).wrapping_add(1)
+}
+
+/// Returns the index in a posted word. It may be [`NO_TASK`].
+#[inline]
+const fn index_of(posted: u32) -> usize {
+    posted as usize % SLOTS
+}
+
+/// Returns whether this count of open signals shows that the last signal was handled and is not yet
+/// counted.
+const fn is_late(index: usize, open: u32, posted: u32) -> bool {
+    open == u32::MAX && index == index_of(posted)
 }
 
 /// Differs from every posted word, whatever its index: the bit that is always 0 is set.
@@ -175,8 +187,8 @@ pub struct Sender<'a> {
 }
 
 impl<'a> Sender<'a> {
-    /// Attaches to the mailbox. Posts the signals that an earlier incarnation of the sending core
-    /// had counted but not posted. Ring the receiver's doorbell once afterwards: that incarnation
+    /// Attaches to the mailbox. Counts the signal that an earlier incarnation of the sending core
+    /// had posted but not counted. Ring the receiver's doorbell once afterwards: that incarnation
     /// may have died before it rang.
     ///
     /// # Errors
@@ -187,51 +199,51 @@ impl<'a> Sender<'a> {
         for (index, copy) in sent.iter_mut().enumerate().take(TASKS) {
             *copy = words[sent_at(index)].load(Ordering::Relaxed);
         }
-        let sender = Self {
+        let posted = words[POSTED_AT].load(Ordering::Relaxed);
+        let last = index_of(posted);
+        if last < TASKS && next_post(post_of(&sent)) == posted - last as u32 {
+            sent[last] = sent[last].wrapping_add(1);
+            words[sent_at(last)].store(sent[last], Ordering::Relaxed);
+        }
+        let posted = post_of(&sent) | NO_TASK;
+        // Release pairs with the Acquire in `poll`, as in `send`.
+        words[POSTED_AT].store(posted, Ordering::Release);
+        Ok(Self {
             words,
-            posted: post_of(&sent) | NO_TASK,
+            posted,
             sent,
-        };
-        // Release pairs with the Acquire in `poll`, as in `count`.
-        words[POSTED_AT].store(sender.posted, Ordering::Release);
-        Ok(sender)
+        })
     }
 
     /// Signals a task of the receiving core (`task_sync`). Earlier writes to the LMU are visible to
     /// the task. Never blocks; task or handler context.
     #[inline]
     pub fn signal(&mut self, task: TaskId) -> Ring {
-        self.count(task.at());
-        self.look_for_sleeper()
+        self.send(task.at())
     }
 
     /// Signals a task and passes it a value. If several values are sent before the task runs, it
     /// gets the newest. Never blocks; task or handler context.
     #[inline]
     pub fn signal_with(&mut self, task: TaskId, value: u32) -> Ring {
-        // Store it before the count: a core that sees this count sees this value or a newer one.
+        // Store it before the post: a core that sees this post sees this value or a newer one.
         self.words[value_at(task.at())].store(value, Ordering::Relaxed);
-        self.count(task.at());
-        self.look_for_sleeper()
+        self.send(task.at())
     }
 
     #[inline]
-    fn count(&mut self, index: usize) {
+    fn send(&mut self, index: usize) -> Ring {
+        self.posted = next_post(self.posted).wrapping_add(index as u32);
+        // Release pairs with the Acquire in `poll`: a receiver that sees the post sees the payload,
+        // and the counts of all earlier signals.
+        self.words[POSTED_AT].store(self.posted, Ordering::Release);
+        // SeqCst pairs with the fence in `prepare_sleep`: either this core sees `asleep`, or the
+        // receiver sees the post. It also pairs with the Acquire of the count in `compare`: a
+        // receiver that sees the count sees the post and the payload.
+        fence(Ordering::SeqCst);
         let sent = &mut self.sent[index];
         *sent = sent.wrapping_add(1);
-        // Release pairs with the Acquire of the count in `compare`: a receiver that sees the
-        // count sees the payload.
-        self.words[sent_at(index)].store(*sent, Ordering::Release);
-        self.posted = next_post(self.posted).wrapping_add(index as u32);
-        // Release pairs with the Acquire in `poll`: a receiver that sees the post sees the count.
-        self.words[POSTED_AT].store(self.posted, Ordering::Release);
-    }
-
-    #[inline]
-    fn look_for_sleeper(&self) -> Ring {
-        // SeqCst pairs with the fence in `prepare_sleep`: either this core sees `asleep`, or the
-        // receiver sees the post.
-        fence(Ordering::SeqCst);
+        self.words[sent_at(index)].store(*sent, Ordering::Relaxed);
         if self.words[ASLEEP_AT].load(Ordering::Relaxed) == 0 {
             Ring::NotNeeded
         } else {
@@ -315,7 +327,7 @@ impl<'a> Receiver<'a> {
     #[inline]
     pub fn poll(&mut self, mut handle: impl FnMut(Signals)) -> u32 {
         let words = self.words;
-        // Acquire pairs with the Release of the post in `count`.
+        // Acquire pairs with the Release of the post in `send`.
         let posted = words[POSTED_AT].load(Ordering::Acquire);
         let index = posted ^ self.next;
         if index < u32::from(MAX_TASK) {
@@ -359,18 +371,25 @@ impl<'a> Receiver<'a> {
             self.posted = posted;
         }
         for index in self.compare_from..TASKS {
-            // Acquire pairs with the Release of the count in `count`: it may be ahead of the post.
+            // Acquire pairs with the fence in `send`: all signals in this count are posted.
             let sent = self.words[sent_at(index)].load(Ordering::Acquire);
             let count = sent.wrapping_sub(self.handled[index]);
-            if count != 0 {
+            if count != 0 && !is_late(index, count, posted) {
                 return Some(signals(self.words, index, count));
             }
         }
         self.compare_from = TASKS;
-        // All posted signals are handled. If both numbers are equal, no unposted one was handled.
-        let next = next_post(posted);
-        if next == next_post(post_of(&self.handled)) {
-            self.next = next;
+        let handled = post_of(&self.handled);
+        let last = index_of(posted);
+        // Relaxed: the Acquire of each count orders it after the counts.
+        if self.words[POSTED_AT].load(Ordering::Relaxed) == posted {
+            // No later signal is handled.
+            if next_post(handled) == posted - last as u32 && last < TASKS {
+                return Some(signals(self.words, last, 1));
+            }
+            if handled == posted - last as u32 {
+                self.next = next_post(posted);
+            }
         }
         None
     }
@@ -394,6 +413,7 @@ impl<'a> Receiver<'a> {
 
     /// Announces that this core is going to sleep: from now on a signal needs the doorbell. Returns
     /// `false` if signals are open: then poll instead. After the sleep, call [`Receiver::awake`].
+    /// A receiver that polls only in the handler of its doorbell calls this once, and never `awake`.
     #[inline]
     #[must_use = "if signals are there, sleeping would miss them"]
     pub fn prepare_sleep(&mut self) -> bool {
@@ -403,7 +423,7 @@ impl<'a> Receiver<'a> {
         let posted = self.words[POSTED_AT].load(Ordering::Relaxed);
         if self.compare_from == TASKS && posted == self.posted {
             // A sleep may be long, so compare all counts first. Disabled under loom, as above.
-            if cfg!(loom) || !self.is_any_open() {
+            if cfg!(loom) || !self.is_any_open() || self.is_last_late(posted) {
                 return true;
             }
             self.compare_all();
@@ -412,9 +432,25 @@ impl<'a> Receiver<'a> {
         false
     }
 
+    /// Returns whether any count differs from that of the handled signals.
     fn is_any_open(&self) -> bool {
-        let sent = |index| self.words[sent_at(index)].load(Ordering::Relaxed);
-        (0..TASKS).any(|index| sent(index) != self.handled[index])
+        (0..TASKS).any(|index| self.count(index) != 0)
+    }
+
+    /// Returns whether the only such count is late.
+    #[cold]
+    #[inline(never)]
+    fn is_last_late(&self, posted: u32) -> bool {
+        (0..TASKS).all(|index| {
+            let count = self.count(index);
+            count == 0 || is_late(index, count, posted)
+        })
+    }
+
+    /// Returns how many counted signals of a task are not handled.
+    fn count(&self, index: usize) -> u32 {
+        let sent = self.words[sent_at(index)].load(Ordering::Relaxed);
+        sent.wrapping_sub(self.handled[index])
     }
 
     /// Announces that this core is awake: a signal does not need the doorbell.
@@ -708,6 +744,45 @@ mod tests {
             if done {
                 break;
             }
+        }
+    }
+
+    /// T-SYNC-3: a sender that is killed between the post and the count leaves a signal that is not
+    /// counted. The receiver handles it once, alone or behind another one, before or after a
+    /// successor of the sender attaches, and can sleep.
+    #[test]
+    fn a_signal_that_is_not_counted_is_handled_once() {
+        for (at, other, early) in (0..4).flat_map(|at| {
+            [(false, false), (false, true), (true, false), (true, true)]
+                .map(|(other, early)| (at, other, early))
+        }) {
+            let words = zeroed(WORDS);
+            let mut sender = Sender::attach(words).unwrap();
+            let mut receiver = Receiver::attach(words).unwrap();
+            assert_eq!(poll(&mut receiver), []);
+            if other {
+                let _ = sender.signal(task(9));
+            }
+            let before = words[POSTED_AT].load(Ordering::Relaxed);
+            let _ = kill_at(at, || sender.signal(task(5)));
+            let is_posted = words[POSTED_AT].load(Ordering::Relaxed) != before;
+            let mut seen = Vec::new();
+            if early {
+                seen.extend(poll(&mut receiver));
+                assert!(receiver.prepare_sleep(), "killed at {at}");
+                let handled = usize::from(other) + usize::from(is_posted);
+                assert_eq!(seen.len(), handled, "killed at {at}: before the sleep");
+                receiver.awake();
+            }
+            let mut successor = Sender::attach(words).unwrap();
+            seen.extend(poll(&mut receiver));
+            let mut expected = Vec::from_iter(other.then_some((9, 1)));
+            expected.extend(is_posted.then_some((5, 1)));
+            seen.sort_unstable_by_key(|&(id, _)| usize::MAX - id);
+            assert_eq!(seen, expected, "killed at {at}, {other} {early}");
+            let _ = successor.signal(task(5));
+            assert_eq!(poll(&mut receiver), [(5, 1)], "killed at {at}");
+            assert_eq!(successor.open(task(5)), 0);
         }
     }
 
