@@ -117,8 +117,8 @@ impl<'a, const SLOTS: usize> Queue<'a, SLOTS> {
         self.slot_of(k, self.slot_words)
     }
 
-    /// Like `slot`, for slots of `slot_words` words. A constant saves instructions. Always inlined: a
-    /// call would need the queue in memory.
+    /// Like `slot`, for slots of `slot_words` words. A constant saves instructions. Always inlined:
+    /// a call would need the queue in memory.
     #[inline(always)]
     fn slot_of(&self, k: u32, slot_words: usize) -> (&'a [AtomicU32], &'a AtomicU32) {
         let number = (k & self.mask()) as usize;

@@ -76,7 +76,10 @@ impl<'a, const SLOTS: usize> Ring<'a, SLOTS> {
 
     #[inline]
     const fn short(&self) -> &'a [AtomicU32; LINE_WORDS] {
-        self.short.expect("a short ring has its line")
+        match self.short {
+            Some(line) => line,
+            None => unreachable!(),
+        }
     }
 
     /// Returns this ring for code that is compiled once for all numbers of slots.
