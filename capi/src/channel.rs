@@ -83,12 +83,12 @@ impl<T> End<T> {
 
 /// A reader, and the view of the value that is being read.
 pub(crate) struct Reading {
-    reader: Reader<'static>,
+    reader: Reader<'static, (), 0>,
     view: Option<View<'static>>,
 }
 
-impl From<Reader<'static>> for Reading {
-    fn from(reader: Reader<'static>) -> Self {
+impl From<Reader<'static, (), 0>> for Reading {
+    fn from(reader: Reader<'static, (), 0>) -> Self {
         Self { reader, view: None }
     }
 }

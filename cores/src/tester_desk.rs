@@ -54,8 +54,8 @@ fn frame_of([code, low, high]: DeskWords) -> Option<CanFrame> {
 
 /// Core 0's end.
 pub(crate) struct DeskPort<'b> {
-    to_desk: Producer<'b, DeskWords>,
-    from_desk: Consumer<'b, DeskWords>,
+    to_desk: Producer<'b, DeskWords, 16>,
+    from_desk: Consumer<'b, DeskWords, 8>,
 }
 
 impl<'b> DeskPort<'b> {
@@ -91,8 +91,8 @@ impl<'b> DeskPort<'b> {
 
 /// Core 2's end.
 pub(crate) struct DeskSeat<'b> {
-    to_desk: Consumer<'b, DeskWords>,
-    from_desk: Producer<'b, DeskWords>,
+    to_desk: Consumer<'b, DeskWords, 16>,
+    from_desk: Producer<'b, DeskWords, 8>,
 }
 
 impl<'b> DeskSeat<'b> {

@@ -59,7 +59,7 @@ pub fn newest_writer<T>(words: &[AtomicU32], shape: Shape) -> Result<Writer<'_, 
 }
 
 /// Attaches a reading end of a newest-value channel.
-pub fn newest_reader<T>(words: &[AtomicU32], shape: Shape) -> Result<Reader<'_, T>, FitError> {
+pub fn newest_reader<T>(words: &[AtomicU32], shape: Shape) -> Result<Reader<'_, T, 0>, FitError> {
     Ok(Reader::attach(newest::ring(words, shape)?))
 }
 

@@ -27,7 +27,7 @@
 use core::marker::PhantomData;
 
 use crate::payload::{Corrupt, Payload, WordsMut, WordsRef, load, store};
-use crate::shape::{FitError, LINE_WORDS, Shape, fit, whole_lines};
+use crate::shape::{FitError, LINE_WORDS, Shape, fit, fit_exactly, whole_lines};
 use crate::sync::{AtomicU32, Ordering};
 
 /// The number of released values, in line 0, which the consumer writes.
@@ -44,17 +44,17 @@ pub const LOOKS_PER_DOUBT: u32 = 32;
 #[cfg(loom)]
 pub const LOOKS_PER_DOUBT: u32 = 1;
 
-/// Returns the number of words of a queue of this shape.
+/// Returns the number of words of a queue of this shape: whole lines.
 #[inline]
 #[must_use]
 pub const fn words(shape: Shape) -> usize {
-    SLOTS_AT + shape.slots() * stride(shape)
+    whole_lines(SLOTS_AT + shape.slots() * stride(shape.slot_words()))
 }
 
 /// Returns the distance between slots, in words. Only a slot longer than a line crosses a boundary.
 #[inline]
-const fn stride(shape: Shape) -> usize {
-    let slot = shape.slot_words() + 1;
+const fn stride(slot_words: usize) -> usize {
+    let slot = slot_words + 1;
     if slot <= LINE_WORDS {
         slot.next_power_of_two()
     } else {
@@ -62,9 +62,11 @@ const fn stride(shape: Shape) -> usize {
     }
 }
 
+/// A queue whose ends know the number of slots when they are compiled; 0: only when they attach.
 #[derive(Clone, Copy, Debug)]
-struct Queue<'a> {
-    released: &'a AtomicU32,
+struct Queue<'a, const SLOTS: usize> {
+    /// Lines 0 and 1: all of a queue that [`is_short`](Self::is_short). An index needs no check.
+    lines: &'a [AtomicU32; SLOTS_AT + LINE_WORDS],
     slots: &'a [AtomicU32],
     slot_words: usize,
     stride: usize,
@@ -72,21 +74,41 @@ struct Queue<'a> {
     mask: u32,
 }
 
-impl<'a> Queue<'a> {
+impl<'a, const SLOTS: usize> Queue<'a, SLOTS> {
     fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let words = fit(words, self::words(shape))?;
         Ok(Self {
-            released: &words[RELEASED_AT],
+            lines: fit_exactly(words)?,
             slots: &words[SLOTS_AT..],
             slot_words: shape.slot_words(),
-            stride: stride(shape),
+            stride: stride(shape.slot_words()),
             mask: shape.slots() as u32 - 1,
         })
     }
 
+    /// Returns whether the compiler knows that all slots, of `slot_words` words, are in one line.
+    #[inline]
+    const fn is_short(slot_words: usize) -> bool {
+        SLOTS > 0 && SLOTS * stride(slot_words) <= LINE_WORDS
+    }
+
+    #[inline]
+    const fn mask(&self) -> u32 {
+        match SLOTS {
+            0 => self.mask,
+            slots => slots as u32 - 1,
+        }
+    }
+
+    /// Returns the word that counts the released values.
+    #[inline]
+    const fn released(&self) -> &'a AtomicU32 {
+        &self.lines[RELEASED_AT]
+    }
+
     #[inline]
     const fn is_full(&self, tail: u32, released: u32) -> bool {
-        tail.wrapping_sub(released) > self.mask
+        tail.wrapping_sub(released) > self.mask()
     }
 
     /// Returns the words and the stamp of value k.
@@ -95,11 +117,16 @@ impl<'a> Queue<'a> {
         self.slot_of(k, self.slot_words)
     }
 
-    /// Like `slot`, for slots of `slot_words` words. A constant saves instructions.
-    #[inline]
+    /// Like `slot`, for slots of `slot_words` words. A constant saves instructions. Always inlined:
+    /// a call would need the queue in memory.
+    #[inline(always)]
     fn slot_of(&self, k: u32, slot_words: usize) -> (&'a [AtomicU32], &'a AtomicU32) {
-        let first = (k & self.mask) as usize * self.stride;
-        let slot = &self.slots[first..][..slot_words + 1];
+        let number = (k & self.mask()) as usize;
+        let slot = if Self::is_short(slot_words) {
+            &self.lines[SLOTS_AT + number * stride(slot_words)..][..slot_words + 1]
+        } else {
+            &self.slots[number * self.stride..][..slot_words + 1]
+        };
         (&slot[..slot_words], &slot[slot_words])
     }
 
@@ -111,29 +138,21 @@ impl<'a> Queue<'a> {
     /// Returns whether the consumer publishes this released count now, or waits for a group of 8.
     #[inline]
     const fn is_group(&self, released: u32) -> bool {
-        released.is_multiple_of(8) || self.mask < 63
+        released.is_multiple_of(8) || self.mask() < 63
     }
 
-    /// Returns the number of the first value that does not fit: `tail` if the queue is full, or if
-    /// the consumer's index is impossible for a queue of this size.
+    /// Consumer: publishes how many values it has released.
     #[inline]
-    const fn limit(&self, tail: u32, released: u32) -> u32 {
-        if self.is_full(tail, released) {
-            tail
-        } else {
-            released.wrapping_add(self.mask).wrapping_add(1)
-        }
+    fn publish(&self, released: u32) {
+        // Release pairs with the Acquire in `make_room`: the slot is read before it is
+        // refilled.
+        self.released().store(released, Ordering::Release);
     }
 
-    /// Repairs the stamp of the oldest value of a full queue if it was overwritten.
-    #[cold]
-    fn restore_oldest(self, tail: u32) {
-        let oldest = tail.wrapping_sub(self.mask).wrapping_sub(1);
-        let stamp = self.stamp(oldest);
-        if stamp.load(Ordering::Relaxed) != complete(oldest) {
-            // Release pairs with the Acquire of the consumer that reads the stamp.
-            stamp.store(complete(oldest), Ordering::Release);
-        }
+    /// Returns the number of the first value that does not fit, if the queue is not full.
+    #[inline]
+    const fn limit(&self, released: u32) -> u32 {
+        released.wrapping_add(self.mask()).wrapping_add(1)
     }
 
     /// Returns how far the value in this slot is ahead of `head`. Returns `None` if the value is
@@ -143,14 +162,15 @@ impl<'a> Queue<'a> {
         // values.
         let k = complete(self.stamp(slot).load(Ordering::Acquire));
         let ahead = k.wrapping_sub(head);
-        let is_ahead = k & self.mask == slot & self.mask && ahead < !self.mask;
+        let mask = self.mask();
+        let is_ahead = k & mask == slot & mask && ahead < !mask;
         is_ahead.then_some(ahead)
     }
 
     /// Returns the number of the value with which a consumer continues if value `head` is missing.
     #[cold]
     fn nearest(self, head: u32) -> u32 {
-        let ahead = (0..=self.mask).filter_map(|slot| self.ahead(slot, head));
+        let ahead = (0..=self.mask()).filter_map(|slot| self.ahead(slot, head));
         let ahead = ahead.min().unwrap_or(0);
         // Value `head` may have arrived while the other slots were checked.
         match self.ahead(head, head) {
@@ -167,6 +187,16 @@ const fn complete(k: u32) -> u32 {
     !k
 }
 
+/// Repairs the stamp of value k, the oldest of a full queue, if it was overwritten.
+#[cold]
+#[inline(never)]
+fn restore(stamp: &AtomicU32, k: u32) {
+    if stamp.load(Ordering::Relaxed) != complete(k) {
+        // Release pairs with the Acquire of the consumer that reads the stamp.
+        stamp.store(complete(k), Ordering::Release);
+    }
+}
+
 /// The queue is full: every slot holds a value that is not yet released.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -180,10 +210,11 @@ impl core::fmt::Display for Full {
 
 impl core::error::Error for Full {}
 
-/// The sending end. Each queue has one.
+/// The sending end. Each queue has one. `SLOTS` is the number of slots if the compiler knows it,
+/// and 0 for an end of [`bare`](crate::bare).
 #[derive(Debug)]
-pub struct Producer<'a, T = ()> {
-    queue: Queue<'a>,
+pub struct Producer<'a, T = (), const SLOTS: usize = 0> {
+    queue: Queue<'a, SLOTS>,
     /// The number of the next value.
     tail: u32,
     /// Number of the first value that does not fit, according to the copy of the released index.
@@ -191,13 +222,13 @@ pub struct Producer<'a, T = ()> {
     payload: PhantomData<fn(&T)>,
 }
 
-impl<'a, T> Producer<'a, T> {
+impl<'a, T, const SLOTS: usize> Producer<'a, T, SLOTS> {
     /// Attaches the producer. It continues after the last value that an earlier incarnation sent.
     /// Loads the stamp of each slot at most once.
     pub(crate) fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let queue = Queue::attach(words, shape)?;
         // Acquire pairs with the Release in `publish`.
-        let released = queue.released.load(Ordering::Acquire);
+        let released = queue.released().load(Ordering::Acquire);
         let mut tail = released;
         while !queue.is_full(tail, released)
             && queue.stamp(tail).load(Ordering::Relaxed) == complete(tail)
@@ -207,7 +238,10 @@ impl<'a, T> Producer<'a, T> {
         Ok(Self {
             queue,
             tail,
-            limit: queue.limit(tail, released),
+            limit: match queue.is_full(tail, released) {
+                true => tail,
+                false => queue.limit(released),
+            },
             payload: PhantomData,
         })
     }
@@ -224,8 +258,8 @@ impl<'a, T> Producer<'a, T> {
     /// # Errors
     /// [`Full`]
     #[inline]
-    pub fn loan(&mut self) -> Result<Loan<'_, 'a, T>, Full> {
-        self.make_room()?;
+    pub fn loan(&mut self) -> Result<Loan<'_, 'a, T, SLOTS>, Full> {
+        self.make_room(self.queue.slot_words)?;
         let (words, stamp) = self.queue.slot(self.tail);
         Ok(Loan {
             words: WordsMut::new(words),
@@ -235,15 +269,17 @@ impl<'a, T> Producer<'a, T> {
     }
 
     #[inline]
-    fn make_room(&mut self) -> Result<(), Full> {
-        if self.tail == self.limit {
+    fn make_room(&mut self, slot_words: usize) -> Result<(), Full> {
+        let (queue, tail) = (self.queue, self.tail);
+        if tail == self.limit {
             // Acquire pairs with the Release in `publish`: the consumer has finished with the slot.
-            let released = self.queue.released.load(Ordering::Acquire);
-            self.limit = self.queue.limit(self.tail, released);
-            if self.tail == self.limit {
-                self.queue.restore_oldest(self.tail);
+            let released = queue.released().load(Ordering::Acquire);
+            if queue.is_full(tail, released) {
+                let oldest = tail.wrapping_sub(queue.mask()).wrapping_sub(1);
+                restore(queue.slot_of(oldest, slot_words).1, oldest);
                 return Err(Full);
             }
+            self.limit = queue.limit(released);
         }
         Ok(())
     }
@@ -257,14 +293,14 @@ impl<'a, T> Producer<'a, T> {
     }
 }
 
-impl<T: Payload> Producer<'_, T> {
+impl<T: Payload, const SLOTS: usize> Producer<'_, T, SLOTS> {
     /// Sends `value`. Never blocks.
     ///
     /// # Errors
     /// [`Full`]; the value was not sent.
     #[inline]
     pub fn send(&mut self, value: &T) -> Result<(), Full> {
-        self.make_room()?;
+        self.make_room(T::WORDS)?;
         let (words, stamp) = self.queue.slot_of(self.tail, T::WORDS);
         store(words, value);
         self.complete(stamp);
@@ -275,13 +311,13 @@ impl<T: Payload> Producer<'_, T> {
 /// A slot that is lent to the producer.
 #[derive(Debug)]
 #[must_use = "only `send` sends what was filled in"]
-pub struct Loan<'p, 'a, T> {
+pub struct Loan<'p, 'a, T, const SLOTS: usize = 0> {
     words: WordsMut<'a>,
     stamp: &'a AtomicU32,
-    producer: &'p mut Producer<'a, T>,
+    producer: &'p mut Producer<'a, T, SLOTS>,
 }
 
-impl<'a, T> Loan<'_, 'a, T> {
+impl<'a, T, const SLOTS: usize> Loan<'_, 'a, T, SLOTS> {
     /// Returns the words to fill.
     #[inline]
     pub const fn words(&mut self) -> &mut WordsMut<'a> {
@@ -295,10 +331,10 @@ impl<'a, T> Loan<'_, 'a, T> {
     }
 }
 
-/// The receiving end. Each queue has one.
+/// The receiving end. Each queue has one. `SLOTS` is as in [`Producer`].
 #[derive(Debug)]
-pub struct Consumer<'a, T = ()> {
-    queue: Queue<'a>,
+pub struct Consumer<'a, T = (), const SLOTS: usize = 0> {
+    queue: Queue<'a, SLOTS>,
     /// The number of the next value.
     head: u32,
     /// Number of polls that found the queue empty.
@@ -306,11 +342,11 @@ pub struct Consumer<'a, T = ()> {
     payload: PhantomData<fn() -> T>,
 }
 
-impl<'a, T> Consumer<'a, T> {
+impl<'a, T, const SLOTS: usize> Consumer<'a, T, SLOTS> {
     /// Attaches the consumer. It continues with the oldest value that is not released.
     pub(crate) fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let queue = Queue::attach(words, shape)?;
-        let head = queue.released.load(Ordering::Relaxed);
+        let head = queue.released().load(Ordering::Relaxed);
         Ok(Self {
             queue,
             head,
@@ -322,7 +358,7 @@ impl<'a, T> Consumer<'a, T> {
     /// Returns the next value, to be read in place, or `None` if the queue is empty. Later calls
     /// return the same value until [`Incoming::release`]. Never blocks.
     #[inline]
-    pub fn item(&mut self) -> Option<Incoming<'_, 'a, T>> {
+    pub fn item(&mut self) -> Option<Incoming<'_, 'a, T, SLOTS>> {
         let (words, stamp) = self.queue.slot(self.head);
         // Acquire pairs with the Release in `complete`.
         if stamp.load(Ordering::Acquire) != complete(self.head) {
@@ -337,49 +373,52 @@ impl<'a, T> Consumer<'a, T> {
 
     #[inline]
     fn found_nothing(&mut self) {
-        if self.queue.released.load(Ordering::Relaxed) != self.head {
-            self.publish();
+        if self.queue.released().load(Ordering::Relaxed) != self.head {
+            self.queue.publish(self.head);
         }
         self.empty_polls = self.empty_polls.wrapping_add(1);
         if self.empty_polls.is_multiple_of(LOOKS_PER_DOUBT) {
-            let slot = self.empty_polls / LOOKS_PER_DOUBT;
-            if self.queue.ahead(slot, self.head).is_some() {
-                self.head = self.queue.nearest(self.head);
-            }
+            self.check_slot(self.empty_polls / LOOKS_PER_DOUBT);
         }
     }
 
-    #[inline]
-    fn release(&mut self) {
-        self.head = self.head.wrapping_add(1);
-        if self.queue.is_group(self.head) {
-            self.publish();
+    /// Continues with the nearest value if this slot holds one that was not received. Not inlined,
+    /// so that the usual poll saves no registers.
+    #[cold]
+    #[inline(never)]
+    fn check_slot(&mut self, slot: u32) {
+        if self.queue.ahead(slot, self.head).is_some() {
+            self.head = self.queue.nearest(self.head);
         }
     }
 
+    /// Releases value `head` of the queue `queue`: copies that the caller has in registers.
     #[inline]
-    fn publish(&self) {
-        // Release pairs with the Acquire in `make_room`: the slot is read before it is
-        // refilled.
-        self.queue.released.store(self.head, Ordering::Release);
+    fn release(&mut self, queue: Queue<'a, SLOTS>, head: u32) {
+        self.head = head.wrapping_add(1);
+        if queue.is_group(self.head) {
+            queue.publish(self.head);
+        }
     }
 }
 
-impl<T: Payload> Consumer<'_, T> {
+impl<T: Payload, const SLOTS: usize> Consumer<'_, T, SLOTS> {
     /// Receives the next value, or returns `None` if the queue is empty. Never blocks.
     ///
     /// # Errors
     /// [`Corrupt`] if the words are not a value of the type; the slot is released in this case too.
     #[inline]
     pub fn receive(&mut self) -> Result<Option<T>, Corrupt> {
-        let (words, stamp) = self.queue.slot_of(self.head, T::WORDS);
+        // Copies: the compiler reads fields again after a fence.
+        let (queue, head) = (self.queue, self.head);
+        let (words, stamp) = queue.slot_of(head, T::WORDS);
         // Acquire pairs with the Release in `complete`.
-        if stamp.load(Ordering::Acquire) != complete(self.head) {
+        if stamp.load(Ordering::Acquire) != complete(head) {
             self.found_nothing();
             return Ok(None);
         }
         let value = load(words);
-        self.release();
+        self.release(queue, head);
         value.map(Some)
     }
 }
@@ -387,12 +426,12 @@ impl<T: Payload> Consumer<'_, T> {
 /// A value that was received and not yet released.
 #[derive(Debug)]
 #[must_use = "only `release` frees the slot"]
-pub struct Incoming<'c, 'a, T> {
+pub struct Incoming<'c, 'a, T, const SLOTS: usize = 0> {
     words: WordsRef<'a>,
-    consumer: &'c mut Consumer<'a, T>,
+    consumer: &'c mut Consumer<'a, T, SLOTS>,
 }
 
-impl<'a, T> Incoming<'_, 'a, T> {
+impl<'a, T, const SLOTS: usize> Incoming<'_, 'a, T, SLOTS> {
     /// Returns the words. The producer does not write to them before the release.
     #[inline]
     #[must_use]
@@ -403,7 +442,8 @@ impl<'a, T> Incoming<'_, 'a, T> {
     /// Frees the slot for the producer.
     #[inline]
     pub fn release(self) {
-        self.consumer.release();
+        let Consumer { queue, head, .. } = *self.consumer;
+        self.consumer.release(queue, head);
     }
 }
 

@@ -4,15 +4,16 @@
 //! read-modify-write. For each id (1 ..= 15; 0 means none) the sender counts the signals that it
 //! has sent and the receiver those that it has handled; the difference is the number of open
 //! signals. One word, *posted*, holds the number of all signals so far and the id of the last one.
-//! The sender counts a signal before it posts it, so each count that the receiver reads after a
-//! post includes all signals up to that post.
+//! The sender posts a signal, passes the fence that the sleeper's flag needs, and then counts
+//! it. So a count that the receiver reads includes only posted signals. After a post all counts
+//! include the signals before that one; only the last signal may be posted and not yet counted.
 //!
 //! The receiver compares that number with the number of signals that it has handled. If it is
 //! higher by one, exactly one signal is open, and its id is the posted one: the receiver handles it
-//! without reading a count. Otherwise it compares all counts. It may then handle a signal that is
-//! counted but not yet posted, so that it has handled more signals than were posted. Until both
-//! numbers are equal again, it compares all counts at each new post, because it cannot know which
-//! signal a post reports.
+//! without reading a count. Otherwise it compares all counts, and then reads the posted word again.
+//! If it is the same, the counts include no later signal, so the number of handled signals shows
+//! whether they include the last one; its id is the posted one. If the word has changed, the next
+//! poll compares again.
 //!
 //! A signal may carry a value of 32 bits, which lies beside its count: [`Sender::signal_with`]. The
 //! task gets the newest value. Count and value of the ids 1 ..= 7 lie in the same cache line as the
@@ -83,14 +84,25 @@ const fn handled_at(index: usize) -> usize {
 /// The posted word, from the lowest bit: the index of the last signal's task (4 bits), a bit that
 /// is always 0, the number of signals (27 bits).
 const NUMBER_SHIFT: u32 = 5;
-/// The index in the first post of a new sender. It names no task, because the predecessor may have
-/// counted signals without posting them.
+/// The index in the first post of a new sender: it posts no signal.
 const NO_TASK: u32 = TASKS as u32;
 
 /// Returns the next posted word, without an index.
 #[inline]
 const fn next_post(posted: u32) -> u32 {
     (posted | ((1 << NUMBER_SHIFT) - 1)).wrapping_add(1)
+}
+
+/// Returns the index in a posted word. It may be [`NO_TASK`].
+#[inline]
+const fn index_of(posted: u32) -> usize {
+    posted as usize % SLOTS
+}
+
+/// Returns whether this count of open signals shows that the last signal was handled and is not yet
+/// counted.
+const fn is_late(index: usize, open: u32, posted: u32) -> bool {
+    open == u32::MAX && index == index_of(posted)
 }
 
 /// Differs from every posted word, whatever its index: the bit that is always 0 is set.
@@ -175,8 +187,8 @@ pub struct Sender<'a> {
 }
 
 impl<'a> Sender<'a> {
-    /// Attaches to the mailbox. Posts the signals that an earlier incarnation of the sending core
-    /// had counted but not posted. Ring the receiver's doorbell once afterwards: that incarnation
+    /// Attaches to the mailbox. Counts the signal that an earlier incarnation of the sending core
+    /// had posted but not counted. Ring the receiver's doorbell once afterwards: that incarnation
     /// may have died before it rang.
     ///
     /// # Errors
@@ -187,51 +199,51 @@ impl<'a> Sender<'a> {
         for (index, copy) in sent.iter_mut().enumerate().take(TASKS) {
             *copy = words[sent_at(index)].load(Ordering::Relaxed);
         }
-        let sender = Self {
+        let posted = words[POSTED_AT].load(Ordering::Relaxed);
+        let last = index_of(posted);
+        if last < TASKS && next_post(post_of(&sent)) == posted - last as u32 {
+            sent[last] = sent[last].wrapping_add(1);
+            words[sent_at(last)].store(sent[last], Ordering::Relaxed);
+        }
+        let posted = post_of(&sent) | NO_TASK;
+        // Release pairs with the Acquire in `poll`, as in `send`.
+        words[POSTED_AT].store(posted, Ordering::Release);
+        Ok(Self {
             words,
-            posted: post_of(&sent) | NO_TASK,
+            posted,
             sent,
-        };
-        // Release pairs with the Acquire in `poll`, as in `count`.
-        words[POSTED_AT].store(sender.posted, Ordering::Release);
-        Ok(sender)
+        })
     }
 
     /// Signals a task of the receiving core (`task_sync`). Earlier writes to the LMU are visible to
     /// the task. Never blocks; task or handler context.
     #[inline]
     pub fn signal(&mut self, task: TaskId) -> Ring {
-        self.count(task.at());
-        self.look_for_sleeper()
+        self.send(task.at())
     }
 
     /// Signals a task and passes it a value. If several values are sent before the task runs, it
     /// gets the newest. Never blocks; task or handler context.
     #[inline]
     pub fn signal_with(&mut self, task: TaskId, value: u32) -> Ring {
-        // Store it before the count: a core that sees this count sees this value or a newer one.
+        // Store it before the post: a core that sees this post sees this value or a newer one.
         self.words[value_at(task.at())].store(value, Ordering::Relaxed);
-        self.count(task.at());
-        self.look_for_sleeper()
+        self.send(task.at())
     }
 
     #[inline]
-    fn count(&mut self, index: usize) {
+    fn send(&mut self, index: usize) -> Ring {
+        self.posted = next_post(self.posted).wrapping_add(index as u32);
+        // Release pairs with the Acquire in `poll`: a receiver that sees the post sees the payload,
+        // and the counts of all earlier signals.
+        self.words[POSTED_AT].store(self.posted, Ordering::Release);
+        // SeqCst pairs with the fence in `prepare_sleep`: either this core sees `asleep`, or the
+        // receiver sees the post. It also pairs with the Acquire of the count in `compare`: a
+        // receiver that sees the count sees the post and the payload.
+        fence(Ordering::SeqCst);
         let sent = &mut self.sent[index];
         *sent = sent.wrapping_add(1);
-        // Release pairs with the Acquire of the count in `compare`: a receiver that sees the
-        // count sees the payload.
-        self.words[sent_at(index)].store(*sent, Ordering::Release);
-        self.posted = next_post(self.posted).wrapping_add(index as u32);
-        // Release pairs with the Acquire in `poll`: a receiver that sees the post sees the count.
-        self.words[POSTED_AT].store(self.posted, Ordering::Release);
-    }
-
-    #[inline]
-    fn look_for_sleeper(&self) -> Ring {
-        // SeqCst pairs with the fence in `prepare_sleep`: either this core sees `asleep`, or the
-        // receiver sees the post.
-        fence(Ordering::SeqCst);
+        self.words[sent_at(index)].store(*sent, Ordering::Relaxed);
         if self.words[ASLEEP_AT].load(Ordering::Relaxed) == 0 {
             Ring::NotNeeded
         } else {
@@ -315,7 +327,7 @@ impl<'a> Receiver<'a> {
     #[inline]
     pub fn poll(&mut self, mut handle: impl FnMut(Signals)) -> u32 {
         let words = self.words;
-        // Acquire pairs with the Release of the post in `count`.
+        // Acquire pairs with the Release of the post in `send`.
         let posted = words[POSTED_AT].load(Ordering::Acquire);
         let index = posted ^ self.next;
         if index < u32::from(MAX_TASK) {
@@ -359,18 +371,25 @@ impl<'a> Receiver<'a> {
             self.posted = posted;
         }
         for index in self.compare_from..TASKS {
-            // Acquire pairs with the Release of the count in `count`: it may be ahead of the post.
+            // Acquire pairs with the fence in `send`: all signals in this count are posted.
             let sent = self.words[sent_at(index)].load(Ordering::Acquire);
             let count = sent.wrapping_sub(self.handled[index]);
-            if count != 0 {
+            if count != 0 && !is_late(index, count, posted) {
                 return Some(signals(self.words, index, count));
             }
         }
         self.compare_from = TASKS;
-        // All posted signals are handled. If both numbers are equal, no unposted one was handled.
-        let next = next_post(posted);
-        if next == next_post(post_of(&self.handled)) {
-            self.next = next;
+        let handled = post_of(&self.handled);
+        let last = index_of(posted);
+        // Relaxed: the Acquire of each count orders it after the counts.
+        if self.words[POSTED_AT].load(Ordering::Relaxed) == posted {
+            // No later signal is handled.
+            if next_post(handled) == posted - last as u32 && last < TASKS {
+                return Some(signals(self.words, last, 1));
+            }
+            if handled == posted - last as u32 {
+                self.next = next_post(posted);
+            }
         }
         None
     }
@@ -394,6 +413,7 @@ impl<'a> Receiver<'a> {
 
     /// Announces that this core is going to sleep: from now on a signal needs the doorbell. Returns
     /// `false` if signals are open: then poll instead. After the sleep, call [`Receiver::awake`].
+    /// A receiver that polls only in the handler of its doorbell calls this once, never `awake`.
     #[inline]
     #[must_use = "if signals are there, sleeping would miss them"]
     pub fn prepare_sleep(&mut self) -> bool {
@@ -403,7 +423,7 @@ impl<'a> Receiver<'a> {
         let posted = self.words[POSTED_AT].load(Ordering::Relaxed);
         if self.compare_from == TASKS && posted == self.posted {
             // A sleep may be long, so compare all counts first. Disabled under loom, as above.
-            if cfg!(loom) || !self.is_any_open() {
+            if cfg!(loom) || !self.is_any_open() || self.is_last_late(posted) {
                 return true;
             }
             self.compare_all();
@@ -412,9 +432,25 @@ impl<'a> Receiver<'a> {
         false
     }
 
+    /// Returns whether any count differs from that of the handled signals.
     fn is_any_open(&self) -> bool {
-        let sent = |index| self.words[sent_at(index)].load(Ordering::Relaxed);
-        (0..TASKS).any(|index| sent(index) != self.handled[index])
+        (0..TASKS).any(|index| self.count(index) != 0)
+    }
+
+    /// Returns whether the only such count is late.
+    #[cold]
+    #[inline(never)]
+    fn is_last_late(&self, posted: u32) -> bool {
+        (0..TASKS).all(|index| {
+            let count = self.count(index);
+            count == 0 || is_late(index, count, posted)
+        })
+    }
+
+    /// Returns how many counted signals of a task are not handled.
+    fn count(&self, index: usize) -> u32 {
+        let sent = self.words[sent_at(index)].load(Ordering::Relaxed);
+        sent.wrapping_sub(self.handled[index])
     }
 
     /// Announces that this core is awake: a signal does not need the doorbell.
@@ -502,290 +538,4 @@ impl<C> TaskTable<C> {
 
 #[cfg(not(loom))]
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::fault::{freeze_at, kill_at, zeroed};
-    use std::vec::Vec;
-
-    fn task(number: u8) -> TaskId {
-        TaskId::new(number).unwrap()
-    }
-
-    fn poll(receiver: &mut Receiver<'_>) -> Vec<(usize, u32)> {
-        let mut all = Vec::new();
-        receiver.poll(|signals| all.push((signals.task.index(), signals.count)));
-        all
-    }
-
-    /// T-SYNC-1: id 0 means none.
-    #[test]
-    fn task_ids_are_1_to_15() {
-        assert_eq!(TaskId::new(0), None);
-        assert_eq!(TaskId::new(16), None);
-        assert_eq!(task(15).index(), 15);
-    }
-
-    /// T-SYNC-3: a second signal before the first is handled is not lost; lower ids are handled
-    /// first.
-    #[test]
-    fn signals_are_counted_and_come_in_order_of_their_ids() {
-        let words = zeroed(WORDS);
-        let mut sender = Sender::attach(words).unwrap();
-        let mut receiver = Receiver::attach(words).unwrap();
-        assert_eq!(poll(&mut receiver), []);
-        for number in [15, 2, 15, 1, 15] {
-            assert_eq!(sender.signal(task(number)), Ring::NotNeeded);
-        }
-        assert_eq!(sender.open(task(15)), 3);
-        assert_eq!(poll(&mut receiver), [(1, 1), (2, 1), (15, 3)]);
-        assert_eq!(sender.open(task(15)), 0);
-        assert_eq!(poll(&mut receiver), []);
-    }
-
-    #[test]
-    fn the_doorbell_is_needed_only_while_the_receiver_may_be_asleep() {
-        let words = zeroed(WORDS);
-        let mut sender = Sender::attach(words).unwrap();
-        let mut receiver = Receiver::attach(words).unwrap();
-        assert!(!receiver.prepare_sleep(), "not before the first poll");
-        poll(&mut receiver);
-        assert!(receiver.prepare_sleep());
-        assert_eq!(sender.signal(task(1)), Ring::Needed);
-        receiver.awake();
-        assert_eq!(sender.signal(task(1)), Ring::NotNeeded);
-        assert!(!receiver.prepare_sleep(), "signals are there");
-        assert_eq!(
-            sender.signal(task(1)),
-            Ring::NotNeeded,
-            "it did not go to sleep"
-        );
-        assert_eq!(poll(&mut receiver), [(1, 3)]);
-    }
-
-    /// T-SYNC-2: `init_sync_mailbox`, `sync_task_add`, `task_sync`.
-    #[test]
-    fn the_table_runs_the_named_task_with_its_argument() {
-        let words = zeroed(WORDS);
-        let mut sender = Sender::attach(words).unwrap();
-        let mut receiver = Receiver::attach(words).unwrap();
-        let mut table = TaskTable::<Vec<(u32, Call)>>::new();
-        table
-            .add(task(3), |calls, arg, call| calls.push((arg, call)), 77)
-            .unwrap();
-        assert_eq!(table.add(task(3), |_, _, _| (), 0), Err(Taken));
-        // Task 4 is not in the table: its signal counts as handled, and nothing runs.
-        for (number, value) in [(3, 4), (4, 7), (3, 5)] {
-            let _ = sender.signal_with(task(number), value);
-        }
-        let mut calls = Vec::new();
-        assert_eq!(table.run(&mut receiver, &mut calls), 3);
-        assert_eq!(calls, [(77, Call { count: 2, value: 5 })]);
-    }
-
-    #[test]
-    fn a_task_gets_the_newest_value() {
-        let words = zeroed(WORDS);
-        let mut sender = Sender::attach(words).unwrap();
-        let mut receiver = Receiver::attach(words).unwrap();
-        let mut values = |sender: &mut Sender<'_>, sent: &[(u8, Option<u32>)]| {
-            for &(number, value) in sent {
-                let _ = match value {
-                    Some(value) => sender.signal_with(task(number), value),
-                    None => sender.signal(task(number)),
-                };
-            }
-            let mut all = Vec::new();
-            receiver.poll(|open| all.push((open.task.index(), open.count, open.value)));
-            all
-        };
-        assert_eq!(values(&mut sender, &[(9, None)]), [(9, 1, 0)]);
-        let sent = [(9, Some(5)), (1, Some(u32::MAX)), (9, Some(6))];
-        assert_eq!(values(&mut sender, &sent), [(1, 1, u32::MAX), (9, 2, 6)]);
-        assert_eq!(values(&mut sender, &[(1, None)]), [(1, 1, u32::MAX)]);
-        let mut successor = Sender::attach(words).unwrap();
-        assert_eq!(values(&mut successor, &[(15, Some(7))]), [(15, 1, 7)]);
-    }
-
-    /// T-SYNC-3: if the receiver is stopped for exactly 2^27 signals, the posted word is unchanged,
-    /// but the receiver finds the signals.
-    #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
-    #[test]
-    fn signals_behind_an_unchanged_post_are_found_before_a_sleep_and_by_polling() {
-        let words = zeroed(WORDS);
-        let mut sender = Sender::attach(words).unwrap();
-        let mut receiver = Receiver::attach(words).unwrap();
-        let _ = sender.signal(task(3));
-        assert_eq!(poll(&mut receiver), [(3, 1)]);
-        let round = |sender: &mut Sender<'_>, id| {
-            let before = words[POSTED_AT].load(Ordering::Relaxed);
-            let _ = sender.signal(task(id));
-            words[POSTED_AT].store(before, Ordering::Relaxed);
-        };
-        round(&mut sender, 5);
-        assert_eq!(poll(&mut receiver), []);
-        assert!(!receiver.prepare_sleep());
-        assert_eq!(poll(&mut receiver), [(5, 1)]);
-        assert!(receiver.prepare_sleep());
-        receiver.awake();
-        round(&mut sender, 6);
-        let mut polls = 0;
-        while poll(&mut receiver).is_empty() {
-            polls += 1;
-        }
-        assert!((1..=POLLS_UNTIL_SURE).contains(&polls));
-    }
-
-    /// T-SYNC-3: as above, with exactly one further signal before each poll. The receiver handles
-    /// the further signals without reading a count; the full comparison finds the missed one.
-    #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
-    #[test]
-    fn signals_behind_an_unchanged_post_are_found_among_others() {
-        let words = zeroed(WORDS);
-        let mut sender = Sender::attach(words).unwrap();
-        let mut receiver = Receiver::attach(words).unwrap();
-        poll(&mut receiver);
-        words[sent_at(task(5).at())].store(1, Ordering::Relaxed);
-        let found = (0..=POLLS_UNTIL_SURE).position(|_| {
-            let _ = sender.signal(task(3));
-            poll(&mut receiver) != [(3, 1)]
-        });
-        assert_eq!(found, Some(POLLS_UNTIL_SURE as usize));
-        assert_eq!(words[handled_at(task(5).at())].load(Ordering::Relaxed), 1);
-    }
-
-    /// T-SYNC-3: a poll ends even if a handler signals its own task each time it runs.
-    #[test]
-    fn a_signal_that_arrives_during_a_poll_is_left_to_the_next_one() {
-        let words = zeroed(WORDS);
-        let mut sender = Sender::attach(words).unwrap();
-        let mut receiver = Receiver::attach(words).unwrap();
-        for number in [2, 4, 4] {
-            let _ = sender.signal(task(number));
-        }
-        for expected in [3, 2, 2] {
-            let mut left = 10;
-            let handled = receiver.poll(|signals| {
-                if left > 0 {
-                    left -= 1;
-                    let _ = sender.signal(signals.task);
-                }
-            });
-            assert_eq!(handled, expected);
-        }
-    }
-
-    /// Each word has one use. Count and value of the tasks 1 ..= 7 lie in the posted word's line.
-    #[test]
-    fn each_word_has_one_use() {
-        let mut used = Vec::from([POSTED_AT, SENDER_CLAIM_AT, ASLEEP_AT, RECEIVER_CLAIM_AT]);
-        for number in 1..=MAX_TASK {
-            let at = task(number).at();
-            assert_eq!(value_at(at) < LINE_WORDS, number <= 7);
-            used.extend([sent_at(at), value_at(at), handled_at(at)]);
-        }
-        let words = used.len();
-        used.sort_unstable();
-        used.dedup();
-        assert_eq!(used.len(), words);
-        assert!(used.last() < Some(&WORDS));
-    }
-
-    /// T-SYNC-3: if the sender is killed at any step, its successor delivers every signal that the
-    /// sender had counted.
-    #[test]
-    fn a_sender_killed_at_every_step_loses_nothing_that_it_has_counted() {
-        for at in 0.. {
-            let words = zeroed(WORDS);
-            let mut sender = Sender::attach(words).unwrap();
-            let mut receiver = Receiver::attach(words).unwrap();
-            assert_eq!(poll(&mut receiver), []);
-            let done = kill_at(at, || sender.signal(task(5))).is_some();
-            let sender = Sender::attach(words).unwrap();
-            let counted = sender.open(task(5));
-            assert!(counted == 1 || at <= 1, "killed at {at}");
-            let handled = receiver.poll(|signals| assert_eq!(signals.task.index(), 5));
-            assert_eq!(handled, counted, "killed at {at}");
-            if done {
-                break;
-            }
-        }
-    }
-
-    /// T-SYNC-3: a signal that is handled before it is posted is not handled again.
-    #[test]
-    fn a_signal_that_is_posted_late_is_handled_once() {
-        let words = zeroed(WORDS);
-        let mut sender = Sender::attach(words).unwrap();
-        let mut receiver = Receiver::attach(words).unwrap();
-        let before = words[POSTED_AT].load(Ordering::Relaxed);
-        let _ = sender.signal(task(5));
-        let after = words[POSTED_AT].load(Ordering::Relaxed);
-        words[POSTED_AT].store(before, Ordering::Relaxed);
-        assert_eq!(poll(&mut receiver), [(5, 1)]);
-        words[POSTED_AT].store(after, Ordering::Relaxed);
-        assert_eq!(poll(&mut receiver), []);
-    }
-
-    /// T-SYNC-3: two signals are sent between any two steps of a poll, so that it may find the
-    /// second and not the first: each is handled once.
-    #[test]
-    fn signals_between_any_two_steps_of_a_poll_are_handled_once() {
-        for at in 0.. {
-            let words = zeroed(WORDS);
-            let _ = Sender::attach(words).unwrap();
-            let mut receiver = Receiver::attach(words).unwrap();
-            let signals = move || {
-                let mut sender = Sender::attach(words).unwrap();
-                let _ = sender.signal(task(1));
-                let _ = sender.signal(task(3));
-            };
-            let (mut seen, hit) = freeze_at(at, signals, || poll(&mut receiver));
-            if !hit {
-                break;
-            }
-            seen.extend(poll(&mut receiver));
-            seen.extend(poll(&mut receiver));
-            seen.sort_unstable();
-            assert_eq!(seen, [(1, 1), (3, 1)], "frozen at {at}");
-        }
-    }
-
-    /// T-SYNC-3: if the receiver is killed at any step, its successor handles the open signals.
-    #[test]
-    fn a_receiver_killed_at_every_step_leaves_the_open_signals_to_its_successor() {
-        for at in 0.. {
-            let words = zeroed(WORDS);
-            let mut sender = Sender::attach(words).unwrap();
-            let mut receiver = Receiver::attach(words).unwrap();
-            for number in [1, 2, 2] {
-                let _ = sender.signal(task(number));
-            }
-            let mut seen = Vec::new();
-            let done = kill_at(at, || {
-                receiver.poll(|signals| seen.push((signals.task.index(), signals.count)));
-                receiver.prepare_sleep()
-            });
-            seen.extend(poll(&mut Receiver::attach(words).unwrap()));
-            seen.sort_unstable();
-            seen.dedup();
-            assert_eq!(seen, [(1, 1), (2, 2)], "killed at {at}");
-            if done.is_some() {
-                break;
-            }
-        }
-    }
-
-    #[test]
-    fn scribbled_words_name_no_other_tasks() {
-        let words = zeroed(WORDS);
-        let mut receiver = Receiver::attach(words).unwrap();
-        for word in words {
-            word.store(u32::MAX, Ordering::Relaxed);
-        }
-        assert_eq!(poll(&mut receiver).len(), 15);
-        assert!(
-            receiver.prepare_sleep(),
-            "bits without a meaning keep no receiver awake"
-        );
-    }
-}
+mod tests;

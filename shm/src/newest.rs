@@ -67,20 +67,24 @@ impl From<Corrupt> for ReadError {
     }
 }
 
-pub(crate) fn ring(words: &[AtomicU32], shape: Shape) -> Result<Ring<'_>, FitError> {
+pub(crate) fn ring<const SLOTS: usize>(
+    words: &[AtomicU32],
+    shape: Shape,
+) -> Result<Ring<'_, SLOTS>, FitError> {
     Ring::attach(words, shape, stride(shape))
 }
 
-/// A reading end. Any number may exist, on any core, at no cost to the writer.
+/// A reading end. Any number may exist, on any core, at no cost to the writer. `SLOTS` is that of
+/// its [`Newest`](crate::region::Newest), and 0 for an end of [`bare`](crate::bare).
 #[derive(Debug)]
-pub struct Reader<'a, T = ()> {
-    ring: Ring<'a>,
+pub struct Reader<'a, T = (), const SLOTS: usize = 4> {
+    ring: Ring<'a, SLOTS>,
     fetched: Option<Stamp>,
     payload: PhantomData<fn() -> T>,
 }
 
-impl<'a, T> Reader<'a, T> {
-    pub(crate) const fn attach(ring: Ring<'a>) -> Self {
+impl<'a, T, const SLOTS: usize> Reader<'a, T, SLOTS> {
+    pub(crate) const fn attach(ring: Ring<'a, SLOTS>) -> Self {
         Self {
             ring,
             fetched: None,
@@ -114,7 +118,10 @@ impl<'a, T> Reader<'a, T> {
         let head = self.ring.head();
         let k = head.wrapping_sub(1);
         if self.ring.is_complete(k) {
-            Ok(View { ring: self.ring, k })
+            Ok(View {
+                ring: self.ring.any(),
+                k,
+            })
         } else if head == 0 {
             Err(ReadError::Empty)
         } else {
@@ -132,16 +139,19 @@ impl<'a, T> Reader<'a, T> {
         &self,
         mut f: impl FnMut(WordsRef<'a>) -> R,
     ) -> Result<(Stamp, R), ReadError> {
-        self.attempt(self.ring.slot_words(), |words| f(WordsRef::new(words)))
+        self.attempt(ATTEMPTS, self.ring.slot_words(), |words| {
+            f(WordsRef::new(words))
+        })
     }
 
     fn attempt<R>(
         &self,
+        attempts: u32,
         count: usize,
         mut f: impl FnMut(&'a [AtomicU32]) -> R,
     ) -> Result<(Stamp, R), ReadError> {
-        for _ in 0..ATTEMPTS {
-            let head = self.ring.head();
+        for _ in 0..attempts {
+            let head = self.ring.head_of(count);
             let k = head.wrapping_sub(1);
             match self.ring.read(k, count, &mut f) {
                 Some(value) => return Ok((Stamp(k), value)),
@@ -153,14 +163,36 @@ impl<'a, T> Reader<'a, T> {
     }
 }
 
-impl<T: Payload> Reader<'_, T> {
+impl<T: Payload, const SLOTS: usize> Reader<'_, T, SLOTS> {
+    #[inline]
+    fn load(&self) -> Result<(Stamp, Result<T, Corrupt>), ReadError> {
+        if !Ring::<SLOTS>::is_short(T::WORDS) {
+            return self.attempt(ATTEMPTS, T::WORDS, load);
+        }
+        // A value in registers: only the first attempt is inlined.
+        let ring = self.ring;
+        let head = ring.head_of(T::WORDS);
+        let k = head.wrapping_sub(1);
+        match ring.read(k, T::WORDS, load) {
+            Some(value) => Ok((Stamp(k), value)),
+            None if head == 0 => Err(ReadError::Empty),
+            None => Self { ring, ..*self }.load_again(),
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn load_again(self) -> Result<(Stamp, Result<T, Corrupt>), ReadError> {
+        self.attempt(ATTEMPTS - 1, T::WORDS, load)
+    }
+
     /// Reads the newest value, even if it was read before. Never blocks.
     ///
     /// # Errors
     /// [`ReadError`]
     #[inline]
     pub fn read(&self) -> Result<(Stamp, T), ReadError> {
-        let (stamp, value) = self.attempt(T::WORDS, load)?;
+        let (stamp, value) = self.load()?;
         Ok((stamp, value?))
     }
 
@@ -173,7 +205,7 @@ impl<T: Payload> Reader<'_, T> {
         if self.newest() == self.fetched {
             return Ok(None);
         }
-        match self.attempt(T::WORDS, load) {
+        match self.load() {
             Ok((stamp, value)) => {
                 self.fetched = Some(stamp);
                 value.map(Some)
@@ -280,7 +312,7 @@ mod tests {
         let words = zeroed(LINE_WORDS);
         let shape = Shape::new(4, 2);
         let mut writer = Writer::attach(ring(words, shape).unwrap());
-        let reader = Reader::attach(ring(words, shape).unwrap());
+        let reader = Reader::<_, 4>::attach(ring(words, shape).unwrap());
         for k in 0..9 {
             writer.publish(&[k, !k]);
             assert_eq!(reader.read(), Ok((Stamp(k), [k, !k])));
@@ -304,9 +336,9 @@ mod tests {
     #[test]
     fn the_next_value_in_its_slot_makes_a_view_void() {
         let shape = Shape::new(2, 1);
-        let words = zeroed(words(shape));
+        let words = zeroed(LINE_WORDS);
         let mut writer = Writer::<'_, [u32; 1]>::attach(ring(words, shape).unwrap());
-        let reader = Reader::<'_, [u32; 1]>::attach(ring(words, shape).unwrap());
+        let reader = Reader::<'_, [u32; 1], 2>::attach(ring(words, shape).unwrap());
         writer.publish(&[0]);
         for k in 1..9 {
             let view = reader.view().unwrap();

@@ -342,7 +342,7 @@ impl<T: Payload, const SLOTS: usize> Region<Newest<T, SLOTS>> {
     ///
     /// # Errors
     /// [`FitError`] if the region is not part of this map's layout.
-    pub fn reader<'a>(&self, map: &Map<'a>) -> Result<newest::Reader<'a, T>, FitError> {
+    pub fn reader<'a>(&self, map: &Map<'a>) -> Result<newest::Reader<'a, T, SLOTS>, FitError> {
         let words = self.words(map)?;
         let ring = newest::ring(words, Newest::<T, SLOTS>::SHAPE)?;
         Ok(newest::Reader::attach(ring))
@@ -358,7 +358,7 @@ impl<T: Payload, const SLOTS: usize> Region<Fifo<T, SLOTS>> {
         &self,
         map: &Map<'a>,
         incarnation: Incarnation,
-    ) -> Result<fifo::Producer<'a, T>, EndError> {
+    ) -> Result<fifo::Producer<'a, T, SLOTS>, EndError> {
         let words = self.claimed(map, fifo::PRODUCER_CLAIM_AT, incarnation)?;
         Ok(fifo::Producer::attach(words, Fifo::<T, SLOTS>::SHAPE)?)
     }
@@ -371,7 +371,7 @@ impl<T: Payload, const SLOTS: usize> Region<Fifo<T, SLOTS>> {
         &self,
         map: &Map<'a>,
         incarnation: Incarnation,
-    ) -> Result<fifo::Consumer<'a, T>, EndError> {
+    ) -> Result<fifo::Consumer<'a, T, SLOTS>, EndError> {
         let words = self.claimed(map, fifo::CONSUMER_CLAIM_AT, incarnation)?;
         Ok(fifo::Consumer::attach(words, Fifo::<T, SLOTS>::SHAPE)?)
     }

@@ -13,18 +13,20 @@
 use core::marker::PhantomData;
 
 use crate::payload::{Payload, WordsMut, store};
-use crate::shape::{FitError, LINE_WORDS, Shape, fit};
+use crate::shape::{FitError, LINE_WORDS, Shape, fit, fit_exactly};
 use crate::sync::{AtomicU32, Ordering, fence};
 
 /// The claim of the writing end: the last word of the head's line, which slots do not use. A map
 /// gives a region whole lines.
 pub(crate) const CLAIM_AT: usize = LINE_WORDS - 1;
 
-/// The ring in the LMU.
+/// The ring in the LMU. `SLOTS` is the number of slots if the compiler knows it, and otherwise 0.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Ring<'a> {
+pub(crate) struct Ring<'a, const SLOTS: usize = 0> {
     head: &'a AtomicU32,
     slots: &'a [AtomicU32],
+    /// The line of a ring that [`is_short`](Self::is_short): an index needs no check.
+    short: Option<&'a [AtomicU32; LINE_WORDS]>,
     shape: Shape,
     /// Words from one slot to the next.
     stride: usize,
@@ -43,19 +45,59 @@ impl<'a> Ring<'a> {
             LINE_WORDS
         }
     }
+}
 
+impl<'a, const SLOTS: usize> Ring<'a, SLOTS> {
     pub(crate) fn attach(
         words: &'a [AtomicU32],
         shape: Shape,
         stride: usize,
     ) -> Result<Self, FitError> {
-        let words = fit(words, Self::words(shape, stride))?;
+        let short = match Self::is_short(shape.slot_words()) {
+            true => Some(fit_exactly(words)?),
+            false => None,
+        };
+        let words = fit(words, Ring::words(shape, stride))?;
         Ok(Self {
             head: &words[0],
-            slots: &words[Self::first_slot(shape, stride)..],
+            slots: &words[Ring::first_slot(shape, stride)..],
+            short,
             shape,
             stride,
         })
+    }
+
+    /// Returns whether the compiler knows that the slots, of `slot_words` words, are in the line of
+    /// the head, as in a small newest-value channel.
+    #[inline]
+    pub(crate) const fn is_short(slot_words: usize) -> bool {
+        SLOTS > 0 && SLOTS * (1 + slot_words) < CLAIM_AT
+    }
+
+    #[inline]
+    const fn short(&self) -> &'a [AtomicU32; LINE_WORDS] {
+        match self.short {
+            Some(line) => line,
+            None => unreachable!(),
+        }
+    }
+
+    /// Returns this ring for code that is compiled once for all numbers of slots.
+    pub(crate) const fn any(self) -> Ring<'a> {
+        let Self {
+            head,
+            slots,
+            shape,
+            stride,
+            short: _,
+        } = self;
+        Ring {
+            head,
+            slots,
+            short: None,
+            shape,
+            stride,
+        }
     }
 
     pub(crate) const fn slot_words(&self) -> usize {
@@ -63,14 +105,27 @@ impl<'a> Ring<'a> {
     }
 
     pub(crate) const fn slots(&self) -> u32 {
-        self.shape.slots() as u32
+        match SLOTS {
+            0 => self.shape.slots() as u32,
+            slots => slots as u32,
+        }
     }
 
     /// Returns the number of complete values that the writer has published.
     #[inline]
     pub(crate) fn head(&self) -> u32 {
+        self.head_of(self.shape.slot_words())
+    }
+
+    /// Like `head`, for values of `slot_words` words. A constant saves instructions.
+    #[inline]
+    pub(crate) fn head_of(&self, slot_words: usize) -> u32 {
+        let head = match Self::is_short(slot_words) {
+            true => &self.short()[0],
+            false => self.head,
+        };
         // Acquire pairs with the Release in `complete`.
-        self.head.load(Ordering::Acquire)
+        head.load(Ordering::Acquire)
     }
 
     /// Reader: loads the line of the head into the cache.
@@ -82,7 +137,7 @@ impl<'a> Ring<'a> {
 
     #[inline]
     fn at(&self, k: u32) -> usize {
-        (k as usize & (self.shape.slots() - 1)) * self.stride
+        (k & (self.slots() - 1)) as usize * self.stride
     }
 
     #[inline]
@@ -99,7 +154,12 @@ impl<'a> Ring<'a> {
     /// Returns the stamp and `count` words of value k. A constant `count` saves instructions.
     #[inline]
     fn slot(&self, k: u32, count: usize) -> (&'a AtomicU32, &'a [AtomicU32]) {
-        let slot = &self.slots[self.at(k)..][..1 + count];
+        let slot = if Self::is_short(count) {
+            let number = (k & (self.slots() - 1)) as usize;
+            &self.short()[1 + number * (1 + count)..][..1 + count]
+        } else {
+            &self.slots[self.at(k)..][..1 + count]
+        };
         (&slot[0], &slot[1..])
     }
 
@@ -140,7 +200,7 @@ impl<'a> Ring<'a> {
             return None;
         }
         let value = f(words);
-        self.is_intact(k).then_some(value)
+        is_intact(stamp, k).then_some(value)
     }
 
     /// Reader, before the read: returns whether value k is in its slot. The caller has read a head
@@ -154,9 +214,7 @@ impl<'a> Ring<'a> {
     /// Reader, after the read: returns whether all words that were read belong to value k.
     #[inline]
     pub(crate) fn is_intact(&self, k: u32) -> bool {
-        // Acquire pairs with the Release fence in `begin`.
-        fence(Ordering::Acquire);
-        self.stamp(k).load(Ordering::Relaxed) == complete(k)
+        is_intact(self.stamp(k), k)
     }
 }
 
@@ -165,6 +223,14 @@ impl<'a> Ring<'a> {
 #[inline]
 fn further_lines(words: &[AtomicU32]) -> impl Iterator<Item = &AtomicU32> {
     words.iter().skip(LINE_WORDS - 1).step_by(LINE_WORDS)
+}
+
+/// Reader, after the read: as [`Ring::is_intact`], with the stamp of value k.
+#[inline]
+fn is_intact(stamp: &AtomicU32, k: u32) -> bool {
+    // Acquire pairs with the Release fence in `begin`.
+    fence(Ordering::Acquire);
+    stamp.load(Ordering::Relaxed) == complete(k)
 }
 
 /// Returns the stamp of value k when it is complete.

@@ -102,8 +102,8 @@ pub(crate) struct Bench {
     map: Map<'static>,
     to: mailbox::Sender<'static>,
     from: mailbox::Receiver<'static>,
-    orders: fifo::Producer<'static, OrderWords>,
-    answers: fifo::Consumer<'static, AnswerWords>,
+    orders: fifo::Producer<'static, OrderWords, 4>,
+    answers: fifo::Consumer<'static, AnswerWords, 4>,
     /// Number of orders that were sent: the value of each signal, and of the answer's signal.
     sent: u32,
     since: Instant,

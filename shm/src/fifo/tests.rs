@@ -6,24 +6,26 @@ use super::*;
 use crate::fault::{freeze_at, kill_at, zeroed};
 use std::vec::Vec;
 
-const SHAPE: Shape = Shape::new(4, 2);
+/// As in a region: the compiler knows the number of slots. They are in one line.
+const SLOTS: usize = 4;
+const SHAPE: Shape = Shape::new(SLOTS, 2);
 
 type Value = [u32; 2];
 
 fn queue() -> (
     &'static [AtomicU32],
-    Producer<'static, Value>,
-    Consumer<'static, Value>,
+    Producer<'static, Value, SLOTS>,
+    Consumer<'static, Value, SLOTS>,
 ) {
     let words = zeroed(words(SHAPE));
     (
         words,
-        Producer::attach(words, SHAPE).unwrap(),
-        Consumer::attach(words, SHAPE).unwrap(),
+        Producer::<_, SLOTS>::attach(words, SHAPE).unwrap(),
+        Consumer::<_, SLOTS>::attach(words, SHAPE).unwrap(),
     )
 }
 
-fn drain(consumer: &mut Consumer<'_, Value>) -> Vec<Value> {
+fn drain(consumer: &mut Consumer<'_, Value, SLOTS>) -> Vec<Value> {
     core::iter::from_fn(|| consumer.receive().unwrap()).collect()
 }
 
@@ -64,8 +66,8 @@ fn a_slot_is_lent_until_it_is_sent_and_received_until_it_is_released() {
 fn numbers_wrap_around() {
     let (words, ..) = queue();
     words[RELEASED_AT].store(u32::MAX - 1, Ordering::Relaxed);
-    let mut producer = Producer::attach(words, SHAPE).unwrap();
-    let mut consumer = Consumer::attach(words, SHAPE).unwrap();
+    let mut producer = Producer::<_, SLOTS>::attach(words, SHAPE).unwrap();
+    let mut consumer = Consumer::<_, SLOTS>::attach(words, SHAPE).unwrap();
     (0..4).for_each(|k| producer.send(&[k, k]).unwrap());
     assert_eq!(producer.send(&[4, 4]), Err(Full));
     assert_eq!(drain(&mut consumer), [[0, 0], [1, 1], [2, 2], [3, 3]]);
@@ -77,7 +79,7 @@ fn a_producer_killed_at_every_step_has_sent_whole_values_or_nothing() {
         let (words, mut producer, mut consumer) = queue();
         producer.send(&[0, 0]).unwrap();
         let done = kill_at(at, || producer.send(&[1, 1])).is_some();
-        Producer::attach(words, SHAPE)
+        Producer::<_, SLOTS>::attach(words, SHAPE)
             .unwrap()
             .send(&[2, 2])
             .unwrap();
@@ -104,7 +106,7 @@ fn a_consumer_killed_at_every_step_leaves_the_values_that_it_has_not_released() 
                 item.release();
             }
         });
-        let rest = drain(&mut Consumer::attach(words, SHAPE).unwrap());
+        let rest = drain(&mut Consumer::<_, SLOTS>::attach(words, SHAPE).unwrap());
         seen.extend(rest.iter().map(|value| value[0]));
         seen.dedup();
         assert_eq!(seen, [0, 1, 2], "killed at {at}");
@@ -131,15 +133,15 @@ fn a_full_queue_takes_a_value_for_each_that_is_released() {
 fn a_large_queue_publishes_releases_in_groups() {
     let shape = Shape::new(64, 1);
     let words = zeroed(words(shape));
-    let mut producer = Producer::attach(words, shape).unwrap();
-    let mut consumer = Consumer::attach(words, shape).unwrap();
+    let mut producer = Producer::<_, 64>::attach(words, shape).unwrap();
+    let mut consumer = Consumer::<_, 64>::attach(words, shape).unwrap();
     (0..64).for_each(|k| producer.send(&[k]).unwrap());
     for k in 0..7 {
         assert_eq!(consumer.item().unwrap().words().get(0), k);
         consumer.item().unwrap().release();
         assert_eq!(producer.send(&[64]), Err(Full));
     }
-    let mut successor = Consumer::<'_, [u32; 1]>::attach(words, shape).unwrap();
+    let mut successor = Consumer::<'_, [u32; 1], 64>::attach(words, shape).unwrap();
     assert_eq!(successor.item().unwrap().words().get(0), 0, "again");
     consumer.item().unwrap().release();
     (64..72).for_each(|k| producer.send(&[k]).unwrap());
@@ -172,7 +174,7 @@ fn scribbled_words_are_repaired() {
                     word.store(scribble, Ordering::Relaxed);
                 }
                 if successor {
-                    producer = Producer::attach(words, SHAPE).unwrap();
+                    producer = Producer::<_, SLOTS>::attach(words, SHAPE).unwrap();
                 }
                 for k in 0..64 * LOOKS_PER_DOUBT {
                     let _ = producer.send(&[k, k]);
@@ -214,9 +216,9 @@ fn successors_that_attach_to_scribbled_words_make_the_queue_whole() {
         let (words, ..) = queue();
         words[RELEASED_AT].store(released, Ordering::Relaxed);
         words[SLOTS_AT + 2].store(stamp, Ordering::Relaxed);
-        let mut producer = Producer::attach(words, SHAPE).unwrap();
+        let mut producer = Producer::<_, SLOTS>::attach(words, SHAPE).unwrap();
         words[RELEASED_AT].store(5, Ordering::Relaxed);
-        let mut consumer = Consumer::attach(words, SHAPE).unwrap();
+        let mut consumer = Consumer::<_, SLOTS>::attach(words, SHAPE).unwrap();
         for _ in 0..64 * LOOKS_PER_DOUBT {
             let _ = producer.send(&[1, 1]);
             drain(&mut consumer);

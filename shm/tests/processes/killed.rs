@@ -176,14 +176,14 @@ fn a_channel_whose_writer_is_killed_shows_no_torn_value() {
     let start = || {
         Child::start(move || {
             let mut writer = bare::newest_writer(words, SHAPE).unwrap();
-            let reader: Reader<'_, [u32; 64]> = bare::newest_reader(words, SHAPE).unwrap();
+            let reader: Reader<'_, [u32; 64], 0> = bare::newest_reader(words, SHAPE).unwrap();
             let last = reader.read().map_or(0, |(_, value)| value[0]);
             for k in last + 1.. {
                 writer.publish(&[k; 64]);
             }
         })
     };
-    let reader: Reader<'_, [u32; 64]> = bare::newest_reader(words, SHAPE).unwrap();
+    let reader: Reader<'_, [u32; 64], 0> = bare::newest_reader(words, SHAPE).unwrap();
     let mut last = 0;
     let mut seen = 0;
     for i in 0..60 {

@@ -202,7 +202,7 @@ pub struct SyncMaster {
     /// The candidate's logic.
     pub master: MasterCore,
     place: SyncPlace,
-    clients: Vec<(ClientId, Reader<'static, SyncRequest>)>,
+    clients: Vec<(ClientId, Reader<'static, SyncRequest, 0>)>,
     answers: broadcast::Writer<'static, SyncResponse>,
     /// The value of the decision word for the last decision that `master` has taken.
     seen: u32,

@@ -162,7 +162,7 @@ fn signal(own: usize, board: &An521Board, map: Map<'_>, incarnation: Incarnation
 }
 
 /// Waits for the next value of a queue.
-fn next(consumer: &mut Consumer<'_, [u32; 3]>) -> [u32; 3] {
+fn next(consumer: &mut Consumer<'_, [u32; 3], 4>) -> [u32; 3] {
     loop {
         if let Ok(Some(value)) = consumer.receive() {
             return value;

@@ -397,7 +397,7 @@ fn wake_by_mailbox(map: &Map<'static>, own: Incarnation) -> ! {
 
 /// The receiving ends of the channels. Their tasks call `reached` after they have read the value.
 struct Values {
-    queue: fifo::Consumer<'static, u32>,
+    queue: fifo::Consumer<'static, u32, 4>,
     newest: newest::Reader<'static, u32>,
 }
 

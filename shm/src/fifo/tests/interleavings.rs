@@ -73,7 +73,7 @@ impl Play {
         let words = zeroed(words(shape));
         words[RELEASED_AT].store(base, Ordering::Relaxed);
         if base != 0 {
-            let queue = Queue::attach(words, shape).unwrap();
+            let queue = Queue::<0>::attach(words, shape).unwrap();
             for k in (1..=slots as u32).map(|back| base.wrapping_sub(back)) {
                 queue.stamp(k).store(complete(k), Ordering::Relaxed);
             }
@@ -297,7 +297,7 @@ fn random_scribbles_heal() {
         let n = [2, 4, 64][random.below(3) as usize];
         let shape = Shape::new(n as usize, 1);
         let words = zeroed(words(shape));
-        let mut producer = Producer::attach(words, shape).unwrap();
+        let mut producer = Producer::<_, 0>::attach(words, shape).unwrap();
         let mut consumer = Consumer::attach(words, shape).unwrap();
         for k in 0..random.below(3 * n) {
             let _ = producer.send(&[k]);
