@@ -158,6 +158,7 @@ pub(crate) struct Glance {
 }
 
 impl Glance {
+    #[inline]
     pub(crate) fn local(&self, system: SystemId) -> Instant {
         Instant::from_ns(self.local_ns[system.index()].load(Ordering::Relaxed))
     }
