@@ -1,7 +1,10 @@
 //! The plain search: every candidate in order, every step of it, and nothing left out.
 
+extern crate std;
+
 use super::*;
 use proptest::prelude::*;
+use std::{format, vec, vec::Vec};
 
 /// Returns all candidates from this start, in the order in which the first of equal ones wins.
 fn all(start: &Jet, desired_speed: f32) -> Vec<Profile> {
