@@ -120,37 +120,95 @@ impl PlantInput {
     }
 }
 
-/// Returns the time derivative of the state.
-fn derivative(state: &PlantState, input: PlantInput, p: &Parameters) -> PlantState {
-    let u = input.limited(state, p);
-    if state.speed.abs() < KINEMATIC_BELOW {
-        kinematic(state, u, p)
-    } else {
-        dynamic(state, u, p)
+/// What the derivatives of one step share.
+struct Rates<'a> {
+    p: &'a Parameters,
+    input: PlantInput,
+    /// Whether the input is far from each limit, so that the same input holds in the whole step.
+    is_free: bool,
+    axles: Axles,
+}
+
+/// The load on the axles, and what follows from it, for one input.
+struct Axles {
+    u: PlantInput,
+    wheelbase: f64,
+    yaw_gain: f64,
+    front: f64,
+    /// Stiffness of both axles together, and its moments: damping, between the axles, in front.
+    both: f64,
+    damping: f64,
+    moment: f64,
+    front_moment: f64,
+}
+
+impl Axles {
+    /// The longitudinal acceleration shifts load between the axles.
+    fn new(u: PlantInput, p: &Parameters) -> Self {
+        let (lf, lr) = (p.front_axle, p.rear_axle);
+        let wheelbase = lf + lr;
+        let front = p.stiffness * (GRAVITY * lr - u.acceleration * p.height);
+        let rear = p.stiffness * (GRAVITY * lf + u.acceleration * p.height);
+        Self {
+            u,
+            wheelbase,
+            yaw_gain: p.friction * p.mass / (p.inertia * wheelbase),
+            front,
+            both: rear + front,
+            damping: lf * lf * front + lr * lr * rear,
+            moment: lr * rear - lf * front,
+            front_moment: lf * front,
+        }
     }
 }
 
-/// Derivative with tyre slip; the longitudinal acceleration shifts load between the axles.
-fn dynamic(state: &PlantState, u: PlantInput, p: &Parameters) -> PlantState {
-    let (lf, lr, v) = (p.front_axle, p.rear_axle, state.speed);
-    let wheelbase = lf + lr;
-    let front = p.stiffness * (GRAVITY * lr - u.acceleration * p.height);
-    let rear = p.stiffness * (GRAVITY * lf + u.acceleration * p.height);
-    let (angle, rate, slip) = (state.steering_angle, state.yaw_rate, state.slip_angle);
-    let yaw_gain = p.friction * p.mass / (p.inertia * wheelbase);
-    let slip_gain = p.friction / (v * wheelbase);
+impl<'a> Rates<'a> {
+    fn new(state: &PlantState, input: PlantInput, dt: f64, p: &'a Parameters) -> Self {
+        let u = input.limited(state, p);
+        // Angle and speed change by less than this.
+        let (turn, gain) = (
+            2.0 * p.steering_rate_max * dt,
+            2.0 * p.acceleration_max * dt,
+        );
+        let turns = state.steering_angle.abs() + turn < p.steering_max;
+        let moves = state.speed + gain < p.speed_max && state.speed - gain > p.speed_min;
+        let fastest = (state.speed + gain).max(p.switching_speed);
+        let has_power = u.acceleration * fastest < p.acceleration_max * p.switching_speed;
+        Self {
+            p,
+            input,
+            is_free: turns && moves && has_power,
+            axles: Axles::new(u, p),
+        }
+    }
+
+    /// Returns the time derivative of the state.
+    fn at(&mut self, state: &PlantState) -> PlantState {
+        if !self.is_free {
+            self.axles = Axles::new(self.input.limited(state, self.p), self.p);
+        }
+        if state.speed.abs() < KINEMATIC_BELOW {
+            kinematic(state, self.axles.u, self.p)
+        } else {
+            dynamic(state, &self.axles, self.p)
+        }
+    }
+}
+
+/// Derivative with tyre slip.
+fn dynamic(state: &PlantState, axles: &Axles, p: &Parameters) -> PlantState {
+    let (v, angle) = (state.speed, state.steering_angle);
+    let (rate, slip) = (state.yaw_rate, state.slip_angle);
+    let slip_gain = p.friction / (v * axles.wheelbase);
     PlantState {
         x: v * (slip + state.yaw).cos(),
         y: v * (slip + state.yaw).sin(),
-        steering_angle: u.steering_rate,
-        speed: u.acceleration,
+        steering_angle: axles.u.steering_rate,
+        speed: axles.u.acceleration,
         yaw: rate,
-        yaw_rate: yaw_gain
-            * (-(lf * lf * front + lr * lr * rear) / v * rate
-                + (lr * rear - lf * front) * slip
-                + lf * front * angle),
-        slip_angle: slip_gain
-            * ((rear * lr - front * lf) / v * rate - (rear + front) * slip + front * angle)
+        yaw_rate: axles.yaw_gain
+            * (-axles.damping / v * rate + axles.moment * slip + axles.front_moment * angle),
+        slip_angle: slip_gain * (axles.moment / v * rate - axles.both * slip + axles.front * angle)
             - rate,
     }
 }
@@ -207,10 +265,11 @@ impl PlantState {
     /// At 1 ms it is stable down to [`KINEMATIC_BELOW`], where the tyres' time constant is 0.46 ms.
     #[must_use]
     pub fn stepped(&self, input: PlantInput, dt: f64, p: &Parameters) -> Self {
-        let k1 = derivative(self, input, p);
-        let k2 = derivative(&self.advanced(&k1, dt / 2.0), input, p);
-        let k3 = derivative(&self.advanced(&k2, dt / 2.0), input, p);
-        let k4 = derivative(&self.advanced(&k3, dt), input, p);
+        let mut rates = Rates::new(self, input, dt, p);
+        let k1 = rates.at(self);
+        let k2 = rates.at(&self.advanced(&k1, dt / 2.0));
+        let k3 = rates.at(&self.advanced(&k2, dt / 2.0));
+        let k4 = rates.at(&self.advanced(&k3, dt));
         self.advanced(&k1, dt / 6.0)
             .advanced(&k2, dt / 3.0)
             .advanced(&k3, dt / 3.0)
@@ -284,6 +343,90 @@ mod tests {
             assert!(pose < 1e-6 && motion < 1e-6, "{pose:e} {motion:e} at {row}");
         }
         assert_eq!(cases, 6);
+    }
+
+    /// One derivative by the formulas as they are published, with nothing computed in advance.
+    fn plain(state: &PlantState, input: PlantInput, p: &Parameters) -> PlantState {
+        let u = input.limited(state, p);
+        if state.speed.abs() < KINEMATIC_BELOW {
+            return kinematic(state, u, p);
+        }
+        let (lf, lr, v) = (p.front_axle, p.rear_axle, state.speed);
+        let front = p.stiffness * (GRAVITY * lr - u.acceleration * p.height);
+        let rear = p.stiffness * (GRAVITY * lf + u.acceleration * p.height);
+        let (angle, rate, slip) = (state.steering_angle, state.yaw_rate, state.slip_angle);
+        let turning = -(lf * lf * front + lr * lr * rear) / v * rate
+            + (lr * rear - lf * front) * slip
+            + lf * front * angle;
+        let slipping = (rear * lr - front * lf) / v * rate - (rear + front) * slip + front * angle;
+        PlantState {
+            x: v * (slip + state.yaw).cos(),
+            y: v * (slip + state.yaw).sin(),
+            steering_angle: u.steering_rate,
+            speed: u.acceleration,
+            yaw: rate,
+            yaw_rate: p.friction * p.mass / (p.inertia * (lf + lr)) * turning,
+            slip_angle: p.friction / (v * (lf + lr)) * slipping - rate,
+        }
+    }
+
+    /// What a step computes in advance changes no bit, also at and beyond each limit.
+    #[test]
+    fn a_step_is_that_of_the_plain_formulas_to_the_last_bit() {
+        let p = &BMW_320I;
+        let bits = |it: &PlantState| {
+            let PlantState {
+                x,
+                y,
+                steering_angle,
+                speed,
+                yaw,
+                yaw_rate,
+                slip_angle,
+            } = *it;
+            [x, y, steering_angle, speed, yaw, yaw_rate, slip_angle].map(f64::to_bits)
+        };
+        let speeds = [
+            -14.0, -13.9, -13.89, -2.0, -0.1, 0.0, 0.09, 0.100_01, 0.3, 7.31, 7.32,
+        ];
+        let faster = [12.0, 33.0, 50.78, 50.799, 50.8, 60.0];
+        let angles = [-1.1, -1.066, -1.065_9, -0.03, 0.0, 0.2, 1.065_7, 1.066, 1.2];
+        let accelerations = [
+            -20.0, -11.5, -3.0, 0.0, 1.65, 1.66, 2.55, 7.0, 11.4, 11.5, 12.0,
+        ];
+        for speed in speeds.into_iter().chain(faster) {
+            for steering_angle in angles {
+                for acceleration in accelerations {
+                    for steering_rate in [-0.5, -0.4, -0.01, 0.0, 0.39, 1.0] {
+                        let input = PlantInput {
+                            steering_rate,
+                            acceleration,
+                        };
+                        let (yaw, yaw_rate, slip_angle) = (0.7 * speed, 0.1, -0.02);
+                        let begin = PlantState {
+                            steering_angle,
+                            speed,
+                            yaw,
+                            yaw_rate,
+                            slip_angle,
+                            ..PlantState::default()
+                        };
+                        let dt = 1e-3;
+                        let k1 = plain(&begin, input, p);
+                        let k2 = plain(&begin.advanced(&k1, dt / 2.0), input, p);
+                        let k3 = plain(&begin.advanced(&k2, dt / 2.0), input, p);
+                        let k4 = plain(&begin.advanced(&k3, dt), input, p);
+                        let expected = begin
+                            .advanced(&k1, dt / 6.0)
+                            .advanced(&k2, dt / 3.0)
+                            .advanced(&k3, dt / 3.0)
+                            .advanced(&k4, dt / 6.0);
+                        let end = begin.stepped(input, dt, p);
+                        assert_eq!(bits(&end), bits(&expected), "{begin:?} {input:?}");
+                    }
+                }
+            }
+        }
     }
 
     #[test]

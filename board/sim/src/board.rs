@@ -501,7 +501,10 @@ impl Supply for SimPort {
     }
 
     fn confirm_start(&self) {
-        self.alive(|machine| machine.system(self.place.system).supply.confirm_start());
+        self.alive(|machine| {
+            let supply = &mut machine.system(self.place.system).supply;
+            supply.act(|supply| supply.confirm_start());
+        });
     }
 
     fn watchdog_question(&self) -> u8 {

@@ -105,8 +105,40 @@ impl Core {
     }
 }
 
+/// A supply and when it next acts, which is asked at each event and changes rarely.
+pub(crate) struct ScheduledSupply {
+    supply: Supply,
+    next: Instant,
+}
+
+impl ScheduledSupply {
+    fn new(config: supply::Config) -> Self {
+        let supply = Supply::new(config);
+        let next = supply.next();
+        Self { supply, next }
+    }
+
+    pub(crate) fn act<R>(&mut self, act: impl FnOnce(&mut Supply) -> R) -> R {
+        let result = act(&mut self.supply);
+        self.next = self.supply.next();
+        result
+    }
+
+    pub(crate) fn next(&self) -> Instant {
+        debug_assert_eq!(self.next, self.supply.next());
+        self.next
+    }
+}
+
+impl core::ops::Deref for ScheduledSupply {
+    type Target = Supply;
+    fn deref(&self) -> &Supply {
+        &self.supply
+    }
+}
+
 pub(crate) struct System {
-    pub(crate) supply: Supply,
+    pub(crate) supply: ScheduledSupply,
     pub(crate) cores: [Core; CoreId::COUNT],
     pub(crate) flash: Flash,
     /// Power fails when the flash has changed this many more bytes.
@@ -125,7 +157,7 @@ pub(crate) struct System {
 impl System {
     fn new(supply: supply::Config) -> Self {
         Self {
-            supply: Supply::new(supply),
+            supply: ScheduledSupply::new(supply),
             cores: core::array::from_fn(|_| Core::new()),
             flash: Flash::new(),
             flash_bytes_to_live: None,
@@ -158,6 +190,7 @@ pub(crate) struct Glance {
 }
 
 impl Glance {
+    #[inline]
     pub(crate) fn local(&self, system: SystemId) -> Instant {
         Instant::from_ns(self.local_ns[system.index()].load(Ordering::Relaxed))
     }

@@ -28,7 +28,7 @@ impl Machine {
         act: impl FnOnce(&mut Supply) -> Option<Change>,
     ) {
         let before = self.level(system);
-        let change = act(&mut self.system(system).supply);
+        let change = self.system(system).supply.act(act);
         match change {
             None => return,
             Some(Change::Start(cause)) => self.start(system, cause),
@@ -130,7 +130,8 @@ impl Machine {
     }
 
     pub(crate) fn request_reset(&mut self, place: CoreAddress, request: ResetRequest) {
-        self.system(place.system).supply.request(request);
+        let supply = &mut self.system(place.system).supply;
+        supply.act(|supply| supply.request(request));
         self.log(
             place.system,
             SystemEventKind::Requested(place.core, request),

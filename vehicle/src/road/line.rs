@@ -206,11 +206,12 @@ impl Line {
 
     /// Returns the index of the sample before `s`, the fraction of the step from there to the next
     /// one, and the distance beyond all samples, m.
+    #[inline]
     pub(super) fn around(&self, s: f64) -> (usize, f64, f64) {
-        let last = self.last();
-        let place = (s / STEP).clamp(0.0, f64::from(last as u32));
         // There are fewer samples than metres of road, so 32 bits suffice. They convert fast.
-        let index = (place as i32).min(last as i32 - 1).max(0);
+        let last = self.last() as u32;
+        let place = (s / STEP).clamp(0.0, f64::from(last));
+        let index = (place as u32).min(last.saturating_sub(1));
         (index as usize, place - f64::from(index), s - place * STEP)
     }
 
@@ -231,10 +232,23 @@ impl Line {
         }
     }
 
+    /// Returns the line at arc length `s`, and the unit vector with its heading.
+    #[inline]
+    fn along(&self, s: f64) -> (Point, Vec2) {
+        let (at, from) = (self.at(s), &self.samples[self.around(s).0]);
+        // Where the line is straight, its heading is that of the sample to the last bit.
+        let along = if at.heading.to_bits() == from.heading.to_bits() {
+            from.along
+        } else {
+            Vec2::from_angle(at.heading)
+        };
+        (at, along)
+    }
+
     /// Returns the sample that is nearest to arc length `s`.
     pub(crate) fn sample_at(&self, s: f64) -> usize {
         let place = (s / STEP).clamp(0.0, f64::from(self.last() as u32));
-        let before = place as i32;
+        let before = place as u32;
         // Like `round`, which is a function call on many machines.
         before as usize + usize::from(place - f64::from(before) >= 0.5)
     }
@@ -301,8 +315,7 @@ impl Line {
             let heading = wrap_angle(heading);
             (Point { centre, heading }, along)
         } else {
-            let at = self.at(s);
-            (at, Vec2::from_angle(at.heading))
+            self.along(s)
         };
         for _ in 0..NEWTON_STEPS {
             let next = s + along.dot(point - at.centre);
@@ -311,8 +324,7 @@ impl Line {
                 break;
             }
             s = next;
-            at = self.at(s);
-            along = Vec2::from_angle(at.heading);
+            (at, along) = self.along(s);
         }
         let d = along.cross(point - at.centre);
         Foot {
@@ -431,6 +443,25 @@ mod tests {
             }
         }
         assert!(known > 5_000, "the bounds are of use: {known}");
+    }
+
+    /// The stored vector of a straight piece is the one of its heading, to the last bit.
+    #[test]
+    fn the_direction_along_the_line_is_that_of_its_heading() {
+        let straight = |heading: f64| {
+            let point = |index: usize| Vec2::from_angle(heading) * (index as f64 * STEP);
+            let points: Vec<Vec2> = (0..50).map(point).collect();
+            Line::new(&points, &[heading; 50])
+        };
+        let bits = |it: Vec2| (it.x.to_bits(), it.y.to_bits());
+        for line in [winding(), straight(0.0), straight(-0.0), straight(2.1)] {
+            for place in -100..16_000 {
+                let (at, along) = line.along(f64::from(place) * 0.1);
+                assert_eq!(bits(along), bits(Vec2::from_angle(at.heading)), "{place}");
+                let again = line.at(f64::from(place) * 0.1);
+                assert_eq!(bits(at.centre), bits(again.centre));
+            }
+        }
     }
 
     #[test]

@@ -13,9 +13,16 @@ use crate::driving::math::{abs, clamp, max, min, sqrt};
 pub(crate) const STEPS: usize = 32;
 /// Seconds between two of them: the evaluation looks 8 s ahead.
 pub(crate) const STEP_S: f32 = 0.25;
-/// The first step of each of eight passes through the evaluation. A pass takes every eighth step;
-/// the first pass includes the last step.
-const COARSE_TO_FINE: [usize; 8] = [7, 3, 5, 1, 6, 4, 2, 0];
+/// All steps, in eight passes. A pass takes every eighth step; the first pass begins with the last
+/// step.
+const COARSE_TO_FINE: [usize; STEPS] = {
+    let (mut order, mut index) = ([0; STEPS], 0);
+    while index < STEPS {
+        order[index] = [7, 3, 5, 1, 6, 4, 2, 0][index / 4] + 8 * (3 - index % 4);
+        index += 1;
+    }
+    order
+};
 
 /// Time gap to the leader at low speed and at 60 km/h and above, s, and its change by speed, s²/m:
 /// the distances of UN Regulation 157, 5.2.3.3.
@@ -79,6 +86,9 @@ const WEIGHT_CONTACT: f32 = 5_000.0;
 /// m.
 const WEIGHT_MARGIN: f32 = 10.0;
 const MARGIN_MAX_M: f32 = 15.0;
+
+/// A sum in another order may differ by this factor.
+const ROUNDING: f32 = 1.001;
 
 /// Limits of the motion along the road, for each step of the evaluation.
 #[derive(Clone, Debug)]
@@ -357,29 +367,30 @@ impl Profile {
     }
 
     /// Cost of this motion in the corridor, total and of danger alone; `None` if the vehicle cannot
-    /// or must not move like this, or if the cost exceeds `best`.
-    fn cost(&self, corridor: &Corridor, best: f32) -> Option<(f32, f32)> {
+    /// or must not move like this, or if the cost exceeds `best`. `least`: what the motion costs on
+    /// any road.
+    fn cost(&self, corridor: &Corridor, best: f32, least: f32) -> Option<(f32, f32)> {
         let mut steps = [(0.0, 0.0); STEPS];
         // No cost is negative, so a few steps that are far apart show that most candidates cost too
         // much. The factor allows for rounding, which differs from that of the sum below.
-        let mut so_far = 0.0;
-        for first in COARSE_TO_FINE {
-            for step in (first..STEPS).step_by(COARSE_TO_FINE.len()).rev() {
-                steps[step] = self.cost_at(corridor, step)?;
-                so_far += steps[step].0;
-                if so_far > 1.001 * best {
-                    return None;
-                }
+        let mut so_far = least;
+        for &step in &COARSE_TO_FINE {
+            let (cost, danger, of_road) = self.cost_at(corridor, step)?;
+            steps[step] = (cost, danger);
+            so_far += of_road;
+            if so_far > ROUNDING * best {
+                return None;
             }
         }
         let sum = |(cost, danger), (more, danger_of_it)| (cost + more, danger + danger_of_it);
         let (cost, danger) = steps.into_iter().fold((0.0, 0.0), sum);
-        (cost <= best).then_some((cost, danger))
+        (cost <= best && cost.is_finite()).then_some((cost, danger))
     }
 
-    /// Returns the cost of one step of [`Profile::cost`].
+    /// Returns the cost of one step of [`Profile::cost`]: total, of danger, and without what
+    /// [`least_cost`] contains.
     #[inline]
-    fn cost_at(&self, corridor: &Corridor, step: usize) -> Option<(f32, f32)> {
+    fn cost_at(&self, corridor: &Corridor, step: usize) -> Option<(f32, f32, f32)> {
         let motion = self.at((step + 1) as f32 * STEP_S);
         if motion.first < -0.05 || motion.second < -EMERGENCY_BRAKING - 0.5 {
             return None;
@@ -396,12 +407,15 @@ impl Profile {
             SPEED_ERROR_KNEE * (2.0 * error - SPEED_ERROR_KNEE)
         };
         let danger = STEP_S * corridor.danger(step, &motion);
-        let comfort = STEP_S
-            * (WEIGHT_JERK * motion.third * motion.third
-                + WEIGHT_ACCELERATION * motion.second * motion.second
-                + WEIGHT_SPEED * error
-                + corridor.margin(step, &motion));
-        Some((danger + comfort, danger))
+        let roughness = WEIGHT_JERK * motion.third * motion.third
+            + WEIGHT_ACCELERATION * motion.second * motion.second;
+        let (speed, margin) = (WEIGHT_SPEED * error, corridor.margin(step, &motion));
+        let comfort = STEP_S * (roughness + speed + margin);
+        let of_road = match self {
+            Self::Keep(_) => danger + STEP_S * (speed + margin),
+            Self::Brake(_) => danger + comfort,
+        };
+        Some((danger + comfort, danger, of_road))
     }
 }
 
@@ -427,60 +441,165 @@ pub(crate) enum Manner {
     Emergency,
 }
 
-/// How many candidates there are.
-const CANDIDATES: usize = DURATIONS_S.len() * (SPEED_CHANGES.len() + 2)
-    + SMOOTH_BRAKINGS.len()
-    + EMERGENCY_BRAKINGS.len();
+/// Speeds at the end of candidates of one duration: changed ones, standstill, the desired one.
+const SPEEDS: usize = SPEED_CHANGES.len() + 2;
+/// How many candidates change the speed, and how many there are.
+const KEEPING: usize = DURATIONS_S.len() * SPEEDS;
+const CANDIDATES: usize = KEEPING + SMOOTH_BRAKINGS.len() + EMERGENCY_BRAKINGS.len();
 
-/// Returns all candidates from this start.
-fn candidates(start: &Jet, desired_speed: f32) -> impl Iterator<Item = Profile> {
-    let keep = move |duration: f32| {
-        let changed = SPEED_CHANGES.iter().map(|change| start.first + change);
-        // Speeds at or below 0 are replaced by the standstill candidate below.
-        let speeds = changed
-            .filter(|speed| *speed > 0.0)
-            .map(|speed| min(speed, 60.0));
-        let speeds = speeds.chain([0.0, desired_speed]);
-        speeds.map(move |speed| Profile::Keep(Quartic::new(start, speed, duration)))
+/// Returns the candidate from this start and what it costs at least; `None` if another one is
+/// equal.
+#[inline]
+fn candidate(index: usize, start: &Jet, desired_speed: f32) -> Option<(Profile, f32)> {
+    if let Some(braking) = index.checked_sub(KEEPING) {
+        let (braking, jerk) = match SMOOTH_BRAKINGS.get(braking) {
+            Some(&braking) => (braking, RAMP_JERK),
+            None => (
+                EMERGENCY_BRAKINGS[braking - SMOOTH_BRAKINGS.len()],
+                EMERGENCY_JERK,
+            ),
+        };
+        let ramp = Ramp::new(start.first, start.second, braking, jerk);
+        return Some((Profile::Brake(ramp), 0.0));
+    }
+    let speed = match SPEED_CHANGES.get(index % SPEEDS) {
+        Some(change) => {
+            let speed = start.first + change;
+            // Speeds at or below 0 are replaced by the standstill candidate.
+            if speed > 0.0 {
+                min(speed, 60.0)
+            } else {
+                return None;
+            }
+        }
+        None if index % SPEEDS == SPEED_CHANGES.len() => 0.0,
+        None => desired_speed,
     };
-    let smooth = SMOOTH_BRAKINGS.map(|braking| (braking, RAMP_JERK));
-    let hard = EMERGENCY_BRAKINGS.map(|braking| (braking, EMERGENCY_JERK));
-    let ramp = |(braking, jerk)| Ramp::new(start.first, start.second, braking, jerk);
-    let brake = smooth.into_iter().chain(hard).map(ramp);
-    let keep = DURATIONS_S.into_iter().flat_map(keep);
-    keep.chain(brake.map(Profile::Brake))
+    let duration = index / SPEEDS;
+    let quartic = Quartic::new(start, speed, DURATIONS_S[duration]);
+    let least = least_cost(&quartic, &SPREADS[duration]);
+    Some((Profile::Keep(quartic), least))
+}
+
+/// The steps of the evaluation up to a time: how many, their mean, the mean square of the distances
+/// from it, and the variance of these squares.
+struct Spread {
+    steps: f32,
+    mean: f32,
+    square: f32,
+    variance: f32,
+}
+
+/// One for each duration.
+const SPREADS: [Spread; DURATIONS_S.len()] = {
+    let mut spreads = [const { Spread::new(0) }; DURATIONS_S.len()];
+    let mut index = 0;
+    while index < spreads.len() {
+        spreads[index] = Spread::new((DURATIONS_S[index] / STEP_S) as usize);
+        index += 1;
+    }
+    spreads
+};
+
+impl Spread {
+    const fn new(steps: usize) -> Self {
+        let count = steps as f32;
+        let mean = 0.5 * (count + 1.0) * STEP_S;
+        let (mut square, mut fourth, mut step) = (0.0, 0.0, 1);
+        while step <= steps {
+            let aside = step as f32 * STEP_S - mean;
+            square += aside * aside / count;
+            fourth += aside * aside * aside * aside / count;
+            step += 1;
+        }
+        Self {
+            steps: count,
+            mean,
+            square,
+            variance: fourth - square * square,
+        }
+    }
+}
+
+/// Returns what jerk and acceleration of all steps cost, whatever else they cost. These are
+/// polynomials of the time whose squares are summed as means and deviations, of which none is
+/// negative. So the relative error is that of rounding.
+#[inline]
+fn least_cost(quartic: &Quartic, spread: &Spread) -> f32 {
+    let ([s0, s1, s2], [t0, t1]) = quartic.derivatives();
+    let Spread {
+        steps,
+        mean,
+        square,
+        variance,
+    } = *spread;
+    let jerk = t0 + t1 * mean;
+    let jerk = jerk * jerk + t1 * t1 * square;
+    let level = s0 + mean * s1 + s2 * (mean * mean + square);
+    let slope = s1 + 2.0 * mean * s2;
+    let acceleration = level * level + slope * slope * square + s2 * s2 * variance;
+    STEP_S * steps * (WEIGHT_JERK * jerk + WEIGHT_ACCELERATION * acceleration)
+}
+
+/// Returns the candidate of the longest duration whose speed is the nearest to the one wanted
+/// halfway, if the vehicle keeps its speed until then.
+fn likely(start: &Jet, corridor: &Corridor) -> usize {
+    let step = STEPS / 2 - 1;
+    let kept = Jet {
+        value: start.first * (step + 1) as f32 * STEP_S,
+        first: start.first,
+        ..Jet::default()
+    };
+    let change = corridor.target_speed(step, &kept) - start.first;
+    let (mut nearest, mut least) = (0, f32::INFINITY);
+    for (index, candidate) in SPEED_CHANGES.iter().enumerate() {
+        let error = abs(candidate - change);
+        if error < least {
+            (nearest, least) = (index, error);
+        }
+    }
+    nearest
 }
 
 /// Returns a profile from this start (at 0 m) and its manner: the cheapest comfortable one if it is
 /// not dangerous, else the cheapest without jerk if it keeps a distance, else the cheapest of all.
 pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
     let none = (Profile::emergency(start), f32::INFINITY, f32::INFINITY);
-    let candidates = || candidates(start, corridor.desired_speed);
-    // The cheapest of each manner, with its cost and its danger.
+    // The cheapest of each manner, with its cost and its danger. Of equal costs the first counts.
     let mut best = [none; 3];
-    let mut consider = |profile: Profile, manner: Manner| {
-        let best = &mut best[manner as usize];
-        if let Some((cost, danger)) = profile.cost(corridor, best.1)
-            && cost < best.1
-        {
-            *best = (profile, cost, danger);
-        }
-        best.2
-    };
+    let mut first = [CANDIDATES; 3];
     // Other manners are not evaluated if a comfortable one is not dangerous.
-    let mut manners = [Manner::Comfortable; CANDIDATES];
-    let mut danger = f32::INFINITY;
-    for (profile, manner) in candidates().zip(&mut manners) {
-        *manner = profile.manner(start.second);
-        if *manner == Manner::Comfortable {
-            danger = consider(profile, *manner);
-        }
-    }
-    if danger >= TOLERABLE_DANGER {
-        for (profile, manner) in candidates().zip(manners) {
-            if manner != Manner::Comfortable {
-                consider(profile, manner);
+    let mut manners = [None; CANDIDATES];
+    let likely = likely(start, corridor);
+    for comfortable in [true, false] {
+        // The more a cheap candidate comes first, the fewer steps the others need.
+        for index in core::iter::once(likely).chain(0..CANDIDATES) {
+            let known = manners[index];
+            if known.is_some_and(|manner| (manner == Manner::Comfortable) != comfortable) {
+                continue;
             }
+            let candidate = candidate(index, start, corridor.desired_speed);
+            let Some((profile, least)) = candidate else {
+                continue;
+            };
+            if comfortable && least > ROUNDING * best[0].1 {
+                continue;
+            }
+            let manner = known.unwrap_or_else(|| profile.manner(start.second));
+            manners[index] = Some(manner);
+            if (manner == Manner::Comfortable) != comfortable {
+                continue;
+            }
+            let (best, first) = (&mut best[manner as usize], &mut first[manner as usize]);
+            if index != *first
+                && let Some((cost, danger)) = profile.cost(corridor, best.1, least)
+                && (cost < best.1 || index < *first)
+            {
+                (*best, *first) = ((profile, cost, danger), index);
+            }
+        }
+        if best[0].2 < TOLERABLE_DANGER {
+            break;
         }
     }
     let [comfortable, firm, emergency] = best;
@@ -498,6 +617,9 @@ pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
         (emergency.0, Manner::Emergency)
     }
 }
+
+#[cfg(test)]
+mod oracle;
 
 #[cfg(test)]
 mod tests {

@@ -111,6 +111,11 @@ impl Quartic {
         self.end
     }
 
+    /// Returns the coefficients of the second and third derivative, the lowest first.
+    pub(crate) const fn derivatives(&self) -> ([f32; 3], [f32; 2]) {
+        (self.second, self.third)
+    }
+
     /// Value and derivatives at `t` ≥ 0.
     #[inline]
     pub(crate) fn at(&self, t: f32) -> Jet {
