@@ -51,8 +51,8 @@ fn the_file_has_the_names_that_readers_rely_on() {
         names
     };
     let run = "duration_s interrupted load machine noise results schema skipped";
-    let row = "batch_p50_ns batch_steal_ms bytes_per_second cpu_ns_per_message curve facts group \
-        max_ns messages_per_second name p50_ns p90_ns p99_9_ns p99_ns payload_bytes \
+    let row = "batch_line_ns batch_p50_ns batch_steal_ms bytes_per_second cpu_ns_per_message curve \
+        facts group max_ns messages_per_second modes name next_ratio_p50 p50_ns p90_ns p99_9_ns p99_ns payload_bytes \
         ratio_to_floor_p50 ratio_to_floor_p99_9 round_trip samples what";
     let machine = "cpu cpus pinned_to topology kernel build commit compiler flags versions";
     assert_eq!(names(&file).join(" "), run);
@@ -145,7 +145,7 @@ fn a_curve_ends_where_ten_samples_are_left() {
             .all(|pair| pair[0].0 < pair[1].0 && pair[0].1 <= pair[1].1)
     );
     let few = measured("spin/floor", &[vec![1, 2, 3]]);
-    assert!(Row::new(&few, None).curve.is_empty());
+    assert!(Row::new(&few, None, &States(vec![]), None).curve.is_empty());
 }
 
 /// D-6: the latency of topics is measured beside the bare socket, a peer, and the transports inside
