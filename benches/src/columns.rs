@@ -104,10 +104,10 @@ pub(crate) fn facts(row: &Row) -> impl Iterator<Item = String> {
             ratio.as_deref().unwrap_or("-")
         )
     });
-    let [low, high] = row.next_ratio_p50.unwrap_or_default();
-    let next = (!row.is_floor() && high > 0.0).then(|| {
+    let range = row.ratio_range_p50.filter(|_| !row.is_floor());
+    let range = range.map(|[low, high]| {
         let [low, high] = [low, high].map(format::ratio);
-        format!("next run, 95 %: x {low} to {high}")
+        format!("nine turns in ten: x {low} to {high}")
     });
     let noted = row.facts.iter().map(|(name, value)| {
         let fact = format::fact(name, *value);
@@ -115,7 +115,7 @@ pub(crate) fn facts(row: &Row) -> impl Iterator<Item = String> {
         let column = COLUMNS.iter().find(is_of);
         bracketed(fact, column.is_some_and(|column| column.is_chance(row)))
     });
-    states.chain(next).chain(noted)
+    states.chain(range).chain(noted)
 }
 
 /// Returns the text of a figure, in brackets if the figure has too few samples.

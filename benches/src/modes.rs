@@ -127,32 +127,25 @@ pub(crate) fn of_batch(modes: &[Mode], lines_ps: [f64; 2]) -> Option<usize> {
     before.filter(|_| before == after)
 }
 
-/// Parts of a run that [`next_run`] compares, and how many it needs at least.
-const PARTS: (usize, usize) = (8, 4);
-/// Student's t for 95 %, by degrees of freedom from `PARTS.1 - 1` on.
-const STUDENT: [f64; 5] = [3.182, 2.776, 2.571, 2.447, 2.365];
+/// Fewer turns in one state than this say nothing of a further run.
+const TURNS: usize = 10;
+/// Share of the turns beyond each end of the range.
+const BEYOND: f64 = 0.05;
 
-/// Returns the factor by which the ratio of a further run differs from this one's at most, with
-/// 95 %, if that run meets the same state. `case` and `floor` are the medians by turn; `None` where
-/// the turn had another state. `None` if too little of the run was in this state.
+/// Returns the range in which nine in ten turns have the ratio of the case to the floor. `case` and
+/// `floor` are the medians by turn; `None` where the turn had another state. `None` if too few
+/// turns have both.
 ///
-/// The parts of the run stand for further runs (batch means: A. M. Law, "Simulation Modeling and
-/// Analysis", section 9.5): what lasts for many turns differs from part to part. The range is one
-/// for a prediction: as this run errs, so does the next one.
-pub(crate) fn next_run(case: &[Option<f64>], floor: &[Option<f64>]) -> Option<f64> {
-    let turns = case.len().min(floor.len());
-    let part = |of: &[Option<f64>], number: usize| {
-        let turns = turns * number / PARTS.0..turns * (number + 1) / PARTS.0;
-        let medians: Vec<f64> = of[turns].iter().copied().flatten().collect();
-        tandem_page::format::median(&medians)
-    };
-    let ratios = (0..PARTS.0).filter_map(|at| Some((part(case, at)? / part(floor, at)?).ln()));
-    let logs: Vec<f64> = ratios.filter(|log| log.is_finite()).collect();
-    let student = STUDENT.get(logs.len().checked_sub(PARTS.1)?)?;
-    let count = logs.len() as f64;
-    let mean = logs.iter().sum::<f64>() / count;
-    let variance = logs.iter().map(|log| (log - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    Some((student * (2.0 * variance / count).sqrt()).exp())
+/// A further run's ratio lies there. The standard error of this run's would be a narrower range,
+/// and a wrong one: what makes runs differ lasts longer than a turn, often longer than a run.
+pub(crate) fn range(case: &[Option<f64>], floor: &[Option<f64>]) -> Option<[f64; 2]> {
+    let turns = case.iter().zip(floor);
+    let ratios = turns.filter_map(|(case, floor)| Some((*case)? / (*floor)?));
+    let mut ratios: Vec<f64> = ratios.filter(|ratio| ratio.is_finite()).collect();
+    ratios.sort_unstable_by(f64::total_cmp);
+    let beyond = (BEYOND * ratios.len() as f64) as usize;
+    let ends = [ratios.get(beyond)?, ratios.get(ratios.len() - 1 - beyond)?];
+    (ratios.len() >= TURNS).then_some(ends.map(|end| *end))
 }
 
 #[cfg(test)]

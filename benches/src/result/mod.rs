@@ -62,9 +62,10 @@ pub(crate) struct Row {
     /// Ratio to the same percentile of the floor; `None` without a floor in this group, or if no
     /// batch met the state in which the group is compared.
     pub(crate) ratio_to_floor_p50: Option<f64>,
-    /// A further run's ratio lies between these with 95 %; `None` if this run was too short.
+    /// Nine in ten turns had a ratio between these, and a further run's lies there; `None` if fewer
+    /// than ten turns measured case and floor in the state that is compared.
     #[serde(default)]
-    pub(crate) next_ratio_p50: Option<[f64; 2]>,
+    pub(crate) ratio_range_p50: Option<[f64; 2]>,
     /// The states of the line in which batches were measured, the fastest first; empty if the run
     /// met one state.
     #[serde(default)]
@@ -258,7 +259,7 @@ impl Row {
             Some(number) => states.medians(one, number),
             None => one.p50_ps.iter().map(|ps| Some(*ps as f64)).collect(),
         };
-        let next = floor.and_then(|floor| modes::next_run(&turns(of), &turns(floor)));
+        let range = floor.and_then(|floor| modes::range(&turns(of), &turns(floor)));
         let at = |quantile| of.times.value_at_quantile(quantile);
         let ratio = |quantile| {
             let floor = floor.filter(|floor| !floor.times.is_empty())?;
@@ -280,7 +281,6 @@ impl Row {
             Some(_) => in_state.and_then(|mode| mode.ratio_to_floor_p50),
             None => ratio(0.5),
         };
-        let next = ratio_to_floor_p50.zip(next);
         let lines = of.lines_ps.iter().flatten();
         Self {
             name: of.case.full_name(),
@@ -294,8 +294,7 @@ impl Row {
             max_ns: ns(of.times.max()),
             samples: of.times.len(),
             ratio_to_floor_p50,
-            next_ratio_p50: next
-                .map(|(ratio, by)| [ratio / by, ratio * by].map(|of| rounded(of, 1e4))),
+            ratio_range_p50: range.map(|ends| ends.map(|end| rounded(end, 1e4))),
             modes: met,
             ratio_to_floor_p99_9: ratio(0.999),
             round_trip: RoundTrip::new(&of.round_trips),
