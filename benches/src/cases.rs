@@ -48,6 +48,13 @@ impl Comparison {
         let value = self.to_possible_value();
         value.map_or(String::new(), |value| value.get_name().to_owned())
     }
+
+    /// Returns whether messages of this group cross from one CPU to another in the floor as in the
+    /// cases: their times depend on where the two CPUs are.
+    pub(crate) fn crosses_cpus(self) -> bool {
+        use Comparison::{Rate, Size, Sleep, Spin, Throughput};
+        matches!(self, Spin | Sleep | Size | Throughput | Rate)
+    }
 }
 
 /// Runs one batch of a case. Both ends of the group `one-cpu` get the same CPU in the plan.

@@ -90,14 +90,32 @@ pub(crate) fn is_chance(beyond: f64, row: &Row) -> bool {
     beyond * (row.samples as f64) < FEW
 }
 
-/// Returns the further facts of a row in words, with unreliable percentiles in brackets.
+/// Returns the further facts of a row in words: the states of the line, the range of a further run,
+/// and what the case notes, with unreliable percentiles in brackets.
 pub(crate) fn facts(row: &Row) -> impl Iterator<Item = String> {
-    row.facts.iter().map(|(name, value)| {
+    let states = row.modes.iter().map(|mode| {
+        let compared = if mode.is_compared { " (compared)" } else { "" };
+        let ratio = mode.ratio_to_floor_p50.map(format::ratio);
+        format!(
+            "line at {}{compared}, {:.0} % of batches: {}, x {}",
+            format::time(mode.line_ns),
+            100.0 * mode.share,
+            format::time(mode.p50_ns),
+            ratio.as_deref().unwrap_or("-")
+        )
+    });
+    let range = row.ratio_range_p50.filter(|_| !row.is_floor());
+    let range = range.map(|[low, high]| {
+        let [low, high] = [low, high].map(format::ratio);
+        format!("nine turns in ten: x {low} to {high}")
+    });
+    let noted = row.facts.iter().map(|(name, value)| {
         let fact = format::fact(name, *value);
         let is_of = |column: &&Column| name.ends_with(&format!(" {}, ns", column.head));
         let column = COLUMNS.iter().find(is_of);
         bracketed(fact, column.is_some_and(|column| column.is_chance(row)))
-    })
+    });
+    states.chain(range).chain(noted)
 }
 
 /// Returns the text of a figure, in brackets if the figure has too few samples.

@@ -1,6 +1,8 @@
 //! The floors: the cost of the hardware and the kernel alone.
 
-use crate::harness::{Batch, BatchPlan, End, between_processes, give_way, polled, repeated};
+use crate::harness::{
+    Batch, BatchPlan, End, between_processes, give_way, median, polled, repeated, timed_between,
+};
 use crate::mutual_exclusion::{Exclusion, contended};
 use crate::open_loop::at_fixed_rate;
 use crate::payload::{sum_from, word};
@@ -11,20 +13,36 @@ use std::io;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 
-/// One-way time of a cache line between two CPUs that spin on the value itself.
+/// Ends on two cache lines that spin on the value itself.
+fn line_ends(shared: &SharedPage, ways: [usize; 2]) -> impl End + use<> {
+    let [out, inward] = ways.map(|way| shared.line(2 * way));
+    let mut last = 0;
+    // Zero means "nothing yet". Release pairs with the Acquire of the other end.
+    let send = |stamp| out.store(stamp | 1, Release);
+    let receive = move || {
+        let new = |stamp: &u32| *stamp != last;
+        last = polled(|| Some(inward.load(Acquire)).filter(new));
+        last
+    };
+    (send, receive)
+}
+
+/// One-way time of a cache line between two CPUs.
 pub(crate) fn cache_line(plan: &BatchPlan) -> io::Result<Batch> {
-    between_processes(plan, |shared, ways| {
-        let [out, inward] = ways.map(|way| shared.line(2 * way));
-        let mut last = 0;
-        // Zero means "nothing yet". Release pairs with the Acquire of the other end.
-        let send = |stamp| out.store(stamp | 1, Release);
-        let receive = move || {
-            let new = |stamp: &u32| *stamp != last;
-            last = polled(|| Some(inward.load(Acquire)).filter(new));
-            last
-        };
-        (send, receive)
-    })
+    between_processes(plan, line_ends)
+}
+
+/// Returns the time that a cache line takes now, one way, in picoseconds: the median of 2000, within
+/// a millisecond.
+pub(crate) fn line_now(cpus: [usize; 2]) -> io::Result<u64> {
+    let plan = BatchPlan {
+        rounds: 1000,
+        warm_up: 100,
+        cpus,
+        system: None,
+    };
+    let [near, far] = [[0, 1], [1, 0]].map(|ways| move |at: &SharedPage| line_ends(at, ways));
+    timed_between(&plan, near, far, false).map(|mut batch| median(&mut batch.samples_ps))
 }
 
 /// One-way time of a payload of `WORDS` words and a line that announces it, in memory as the LMU:

@@ -241,9 +241,18 @@ pub(crate) fn between_unlike<N: End, F: End>(
     near: impl FnOnce(&SharedPage) -> N,
     far: impl FnOnce(&SharedPage) -> F,
 ) -> io::Result<Batch> {
-    let shared = SharedPage::new()?;
     // Counting takes ten rounds: skip it if it would take longer than the measurement.
-    let is_counted = plan.rounds > 10;
+    timed_between(plan, near, far, plan.rounds > 10)
+}
+
+/// As [`between_unlike`]; counts system calls if `is_counted`, which takes some 10 ms.
+pub(crate) fn timed_between<N: End, F: End>(
+    plan: &BatchPlan,
+    near: impl FnOnce(&SharedPage) -> N,
+    far: impl FnOnce(&SharedPage) -> F,
+    is_counted: bool,
+) -> io::Result<Batch> {
+    let shared = SharedPage::new()?;
     let near = BatchPart::on(plan.cpus[0], |role| {
         let mut end = near(role.shared);
         role.shared.meet(2);

@@ -17,6 +17,7 @@ mod hardware;
 pub mod harness;
 mod load;
 mod measure;
+mod modes;
 pub mod mutual_exclusion;
 mod noise;
 mod open_loop;

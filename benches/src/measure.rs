@@ -1,7 +1,8 @@
 //! Measures the cases in turn, batch by batch, in a new order in each turn, so that the machine's
 //! changes affect all cases alike.
 
-use crate::cases::Candidate;
+use crate::cases::{Candidate, Comparison};
+use crate::floor;
 use crate::hardware::stolen_ms;
 use crate::harness::{Batch, BatchPlan, median};
 use crate::shared::draw;
@@ -23,6 +24,9 @@ pub(crate) struct Measurement {
     pub(crate) batches: Vec<Batch>,
     /// Median of each batch, in picoseconds.
     pub(crate) p50_ps: Vec<u64>,
+    /// Time of a bare cache line before and after each batch, in picoseconds; `None` if the group
+    /// does not depend on it, or if it could not be measured.
+    pub(crate) lines_ps: Vec<Option<[u64; 2]>>,
     /// Time that the hypervisor took during each batch, all CPUs, ms, in steps of 10.
     pub(crate) steal_ms: Vec<f64>,
     /// Why the case could not be measured; it is not tried again.
@@ -40,6 +44,7 @@ impl Measurement {
             naive: histogram(),
             batches: vec![],
             p50_ps: vec![],
+            lines_ps: vec![],
             steal_ms: vec![],
             skipped: None,
         }
@@ -134,11 +139,13 @@ pub(crate) fn run(
         libc::signal(libc::SIGINT, handler as libc::sighandler_t);
     }
     let mut all: Vec<Measurement> = cases.into_iter().map(Measurement::new).collect();
+    let groups: Vec<Comparison> = all.iter().map(|one| one.case.group).collect();
     let begin = Instant::now();
     let mut turns = 0;
     loop {
         let mut tried = false;
-        for at in order(all.len()) {
+        let mut line_ps = None;
+        for at in order(&groups) {
             let measurement = &mut all[at];
             if measurement.skipped.is_some() {
                 continue;
@@ -149,7 +156,7 @@ pub(crate) fn run(
             let passed = begin.elapsed().as_secs_f64() / span.at_least.as_secs_f64();
             progress(passed.min(1.0), &measurement.case);
             tried = true;
-            turn(system, measurement, cpus);
+            turn(system, measurement, cpus, &mut line_ps);
         }
         turns += 1;
         if !tried || (turns >= span.turns && begin.elapsed() >= span.at_least) {
@@ -158,17 +165,33 @@ pub(crate) fn run(
     }
 }
 
-/// Returns the numbers below `count` in random order, so that no case always follows the same case.
-fn order(count: usize) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..count).collect();
-    for at in (1..count).rev() {
+/// Returns the numbers of the cases of these groups in random order, so that no case always follows
+/// the same case. The cases of a group stay together, so that mostly they meet the same state.
+fn order(groups: &[Comparison]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..groups.len()).collect();
+    for at in (1..order.len()).rev() {
         order.swap(at, draw(at + 1));
     }
+    let places: Vec<Comparison> = order.iter().map(|at| groups[*at]).collect();
+    // The first case of a group, which is any of them, says when the group's turn is.
+    order.sort_by_key(|at| places.iter().position(|group| *group == groups[*at]));
     order
 }
 
-fn turn(system: &'static UnsupervisedSystem, measurement: &mut Measurement, cpus: [usize; 2]) {
+/// Measures a batch. `line_ps` is the line's time after the batch before, if it was measured, and
+/// then that after this batch.
+fn turn(
+    system: &'static UnsupervisedSystem,
+    measurement: &mut Measurement,
+    cpus: [usize; 2],
+    line_ps: &mut Option<u64>,
+) {
     let case = measurement.case;
+    let line_now = |known: Option<u64>| {
+        let crosses = case.group.crosses_cpus();
+        known.or_else(|| crosses.then(|| floor::line_now(cpus).ok())?)
+    };
+    let line_before = line_now(line_ps.take());
     let plan = BatchPlan {
         rounds: case.rounds,
         // At least 2 rounds, so that each slot of a channel of two slots is used.
@@ -178,7 +201,14 @@ fn turn(system: &'static UnsupervisedSystem, measurement: &mut Measurement, cpus
     };
     let before_ms = stolen_ms();
     match case.run_batch(&plan) {
-        Ok(batch) => measurement.add(batch, stolen_ms() - before_ms),
+        Ok(batch) => {
+            measurement.add(batch, stolen_ms() - before_ms);
+            *line_ps = line_now(None);
+            let lines_ps = line_before
+                .zip(*line_ps)
+                .map(|(before, after)| [before, after]);
+            measurement.lines_ps.push(lines_ps);
+        }
         Err(_) if was_interrupted() => {}
         Err(error) => measurement.skipped = Some(error.to_string()),
     }
@@ -187,14 +217,18 @@ fn turn(system: &'static UnsupervisedSystem, measurement: &mut Measurement, cpus
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cases;
 
     #[test]
     fn each_turn_has_an_order_of_its_own() {
-        let orders: Vec<Vec<usize>> = (0..20).map(|_| order(70)).collect();
+        let groups: Vec<Comparison> = cases::all().map(|case| case.group).collect();
+        let orders: Vec<Vec<usize>> = (0..20).map(|_| order(&groups)).collect();
         for one in &orders {
+            let parts = one.chunk_by(|a, b| groups[*a] == groups[*b]).count();
+            assert_eq!(parts, groups.chunk_by(|a, b| a == b).count());
             let mut sorted = one.clone();
             sorted.sort_unstable();
-            assert!(sorted.into_iter().eq(0..70));
+            assert!(sorted.into_iter().eq(0..groups.len()));
         }
         let firsts: std::collections::HashSet<usize> = orders.iter().map(|one| one[0]).collect();
         assert!(firsts.len() > 10, "{firsts:?}");

@@ -6,6 +6,7 @@ use tandem_processes::percentiles::Spans;
 use tandem_record::log::{DriveFigures, Sample};
 use tandem_record::reaction::{Reaction, reaction};
 use tandem_record::run_log::Stall;
+use tandem_record::slowest::{Slowest, slowest};
 use tandem_record::verdict::{Beside, Figures, Verdict};
 use tandem_record::{RunLog, ms_between, start};
 use tandem_vehicle::Ruling;
@@ -84,6 +85,8 @@ pub struct Metrics {
     /// Maximum of the same, ms.
     #[serde(default)]
     pub(crate) reaction_max_ms: Option<f64>,
+    /// Where the slowest percent of these times was spent; `None` if the trace has no chain.
+    pub(crate) reaction_slowest: Option<Slowest>,
     /// Median of the age of the oldest measurement behind an accepted control frame, ms.
     #[serde(default)]
     pub(crate) sensor_age_p50_ms: Option<f64>,
@@ -228,6 +231,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
     let Reaction {
         reaction_ms,
         age_ms,
+        ..
     } = reaction(log);
     let (reaction, age) = (Spans::from_ms(reaction_ms), Spans::from_ms(age_ms));
     let machine = &around.beside.stalls;
@@ -257,6 +261,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         reaction_p50_ms: reaction.percentile_ms(50.0),
         reaction_p99_ms: reaction.percentile_ms(99.0),
         reaction_max_ms: reaction.max_ms(),
+        reaction_slowest: slowest(log, machine),
         sensor_age_p50_ms: age.percentile_ms(50.0),
         sensor_age_p99_ms: age.percentile_ms(99.0),
         sensor_age_max_ms: age.max_ms(),

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use tandem_processes::percentiles::DeviationFigures;
+use tandem_record::slowest::Part;
 use tandem_record::verdict::{Outcome, Verdict};
 
 use crate::metrics::Metrics;
@@ -59,6 +60,20 @@ pub(crate) fn table(metrics: &Metrics, besides: &[String], report: &Path) -> Str
         row(
             name,
             format!("p50 {}  p99 {}  max {} ms", ms(p50), ms(p99), ms(max)),
+        );
+    }
+    if let Some(slowest) = &metrics.reaction_slowest {
+        let part = |of: &Part| format!("{} {:.1} ({:.1})", of.part, of.slowest_ms, of.p50_ms);
+        let parts: Vec<String> = slowest.parts.iter().map(part).collect();
+        row("its slowest 1 % (p50)", format!("{} ms", parts.join(", ")));
+        row(
+            "",
+            format!(
+                "{} of {} met a stall; p99 without {} ms",
+                slowest.stalled,
+                slowest.count,
+                ms(slowest.p99_unstalled_ms)
+            ),
         );
     }
     row(

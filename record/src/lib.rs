@@ -15,6 +15,7 @@ pub mod required_limits;
 pub mod roles;
 pub mod run_log;
 pub mod sensor_time;
+pub mod slowest;
 pub mod start;
 pub mod takeover;
 pub mod verdict;

@@ -1,15 +1,33 @@
 //! Reaction and age: how soon the vehicle reacts to a measurement, and how old the data is then.
 
+use tandem_board::SystemId;
+
 use crate::RunLog;
+use crate::run_log::ControlFrame;
 
 /// How much earlier than its real time a measurement may seem to be, ns. The age in a control frame
 /// is rounded. The world around an emulated machine advances in steps of 1 ms, so the time stamp
 /// of a frame is up to one step early. Measurements are further apart than this.
 const EARLY_NS: u64 = 1_100_000;
 
+/// A measurement, and the first control frame that reflects it and takes effect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reacted {
+    /// When it was measured, ns.
+    pub measured_ns: u64,
+    /// The frame's sender.
+    pub system: SystemId,
+    /// When the frame was sent, ns.
+    pub sent_ns: u64,
+    /// When the frame took effect, ns; not before the measurement.
+    pub acted_ns: u64,
+}
+
 /// The two distributions, ms.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reaction {
+    /// Each measurement with its reaction, in the order of measuring.
+    pub reacted: Vec<Reacted>,
     /// Time from each measurement until a control frame that reflects it first takes effect.
     pub reaction_ms: Vec<f64>,
     /// Age of the oldest measurement behind each control frame when the frame takes effect.
@@ -29,8 +47,8 @@ pub fn reaction(log: &RunLog) -> Reaction {
     let mut found = Reaction::default();
     let (measured_ns, unseen_ns) = (&log.measured_ns, log.sensor_time.unseen_ns());
     // The commands in the order in which they took effect. Each has the time of its oldest
-    // measurement, and the time at which its first frame took effect.
-    let mut commands: Vec<(u64, u64)> = Vec::new();
+    // measurement, and its first frame that took effect.
+    let mut commands: Vec<(u64, &ControlFrame)> = Vec::new();
     for frame in log.accepted() {
         let Some(age_ns) = frame.age_ns else { continue };
         let told_ns = frame.sent_ns.saturating_sub(age_ns + unseen_ns);
@@ -42,17 +60,27 @@ pub fn reaction(log: &RunLog) -> Reaction {
             .age_ms
             .push(frame.at_ns.saturating_sub(oldest_ns) as f64 * 1e-6);
         if commands.last().is_none_or(|last| last.0 < oldest_ns) {
-            commands.push((oldest_ns, frame.at_ns));
+            commands.push((oldest_ns, frame));
         }
     }
     for measured_ns in measured_ns {
         let after = commands.partition_point(|command| command.0 <= *measured_ns);
         // The last command is skipped: newer measurements may belong to a command after it.
-        if let Some((_, acted_ns)) = after.checked_sub(1).map(|index| commands[index])
+        if let Some((_, frame)) = after.checked_sub(1).map(|index| commands[index])
             && after < commands.len()
         {
-            let reaction_ns = acted_ns.saturating_sub(*measured_ns);
-            found.reaction_ms.push(reaction_ns as f64 * 1e-6);
+            let measured_ns = *measured_ns;
+            let acted_ns = frame.at_ns.max(measured_ns);
+            let (system, sent_ns) = (frame.system, frame.sent_ns);
+            found
+                .reaction_ms
+                .push((acted_ns - measured_ns) as f64 * 1e-6);
+            found.reacted.push(Reacted {
+                measured_ns,
+                system,
+                sent_ns,
+                acted_ns,
+            });
         }
     }
     found
@@ -61,8 +89,6 @@ pub fn reaction(log: &RunLog) -> Reaction {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::run_log::ControlFrame;
-    use tandem_board::SystemId;
     use tandem_bus::ModeCode;
     use tandem_vehicle::Ruling;
 

@@ -74,7 +74,13 @@ pub(crate) fn run(
         for list in ["results", "noise"] {
             for row in results[list].as_array_mut().context("no result")? {
                 let row = row.as_object_mut().context("no row")?;
-                for detail in ["curve", "batch_p50_ns", "batch_p99_ns", "batch_steal_ms"] {
+                for detail in [
+                    "curve",
+                    "batch_p50_ns",
+                    "batch_p99_ns",
+                    "batch_line_ns",
+                    "batch_steal_ms",
+                ] {
                     row.remove(detail);
                 }
             }

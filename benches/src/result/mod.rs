@@ -6,6 +6,7 @@
 use crate::cases::Comparison::{Size, Throughput};
 use crate::hardware::Machine;
 use crate::measure::Measurement;
+use crate::modes::{self, Mode};
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -50,14 +51,25 @@ pub(crate) struct Row {
     pub(crate) group: String,
     pub(crate) what: String,
     pub(crate) payload_bytes: u64,
+    /// The median of all samples; if the run met several states of the line, the median of the
+    /// batches in one state, which is the same for all cases of the group: see `modes`.
     pub(crate) p50_ns: f64,
     pub(crate) p90_ns: f64,
     pub(crate) p99_ns: f64,
     pub(crate) p99_9_ns: f64,
     pub(crate) max_ns: f64,
     pub(crate) samples: u64,
-    /// Ratio to the same percentile of the floor; `None` without a floor in this group.
+    /// Ratio to the same percentile of the floor; `None` without a floor in this group, or if no
+    /// batch met the state in which the group is compared.
     pub(crate) ratio_to_floor_p50: Option<f64>,
+    /// Nine in ten turns had a ratio between these, and a further run's lies there; `None` if fewer
+    /// than ten turns measured case and floor in the state that is compared.
+    #[serde(default)]
+    pub(crate) ratio_range_p50: Option<[f64; 2]>,
+    /// The states of the line in which batches were measured, the fastest first; empty if the run
+    /// met one state.
+    #[serde(default)]
+    pub(crate) modes: Vec<InMode>,
     pub(crate) ratio_to_floor_p99_9: Option<f64>,
     pub(crate) round_trip: Option<RoundTrip>,
     /// CPU time of all ends per message, where it applies.
@@ -68,6 +80,9 @@ pub(crate) struct Row {
     pub(crate) bytes_per_second: Option<f64>,
     /// Median of each batch, in the order of measuring.
     pub(crate) batch_p50_ns: Vec<f64>,
+    /// Time of a bare line before and after each batch; empty if it was not measured.
+    #[serde(default)]
+    pub(crate) batch_line_ns: Vec<[f64; 2]>,
     /// Time that the hypervisor took during each batch, all CPUs, ms, in steps of 10.
     #[serde(default)]
     pub(crate) batch_steal_ms: Vec<f64>,
@@ -75,6 +90,21 @@ pub(crate) struct Row {
     /// support.
     pub(crate) curve: Vec<(f64, f64)>,
     pub(crate) facts: BTreeMap<String, f64>,
+}
+
+/// A case in one state of the cache line: see [`modes`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct InMode {
+    /// Time of a bare line in this state.
+    pub(crate) line_ns: f64,
+    /// Share of the case's batches. What is missing to 1 met a change of the state.
+    pub(crate) share: f64,
+    /// Median of the medians of these batches.
+    pub(crate) p50_ns: f64,
+    /// Ratio to the floor's median in the same state.
+    pub(crate) ratio_to_floor_p50: Option<f64>,
+    /// `p50_ns` and `ratio_to_floor_p50` of the row are those of this state.
+    pub(crate) is_compared: bool,
 }
 
 /// Percentiles of the round trip.
@@ -116,8 +146,14 @@ impl Results {
     ) -> Self {
         let floor =
             |of: &Measurement| floor_of(all, &of.case.full_name(), |one| one.case.full_name());
+        let lines = all
+            .iter()
+            .flat_map(|one| one.lines_ps.iter().flatten().flatten());
+        let lines: Vec<f64> = lines.map(|ps| *ps as f64).collect();
+        let states = States(modes::find(&lines));
         let measured = all.iter().filter(|one| !one.times.is_empty());
-        let rows = measured.map(|one| Row::new(one, floor(one)));
+        let rows =
+            measured.map(|one| Row::new(one, floor(one), &states, states.compared(one, all)));
         let (noise, results) = rows.partition(|row| row.group == "noise");
         let skipped = all.iter().filter_map(|one| {
             Some(Skipped {
@@ -144,9 +180,86 @@ impl Results {
     }
 }
 
+/// The states that a run met.
+struct States(Vec<Mode>);
+
+impl States {
+    /// Returns the median of each batch of this case in state `number`, ps, by turn.
+    fn medians(&self, of: &Measurement, number: usize) -> Vec<Option<f64>> {
+        let state = |lines: &Option<[u64; 2]>| {
+            modes::of_batch(&self.0, lines.map(|lines| lines.map(|ps| ps as f64))?)
+        };
+        let turns = of.p50_ps.iter().zip(&of.lines_ps);
+        let inside = |(ps, lines): (&u64, _)| (state(lines) == Some(number)).then_some(*ps as f64);
+        turns.map(inside).collect()
+    }
+
+    /// Returns the median of this case in state `number`, ps.
+    fn p50(&self, of: &Measurement, number: usize) -> Option<f64> {
+        let medians: Vec<f64> = self.medians(of, number).into_iter().flatten().collect();
+        median(&medians)
+    }
+
+    /// Returns the state in which the group of `of` is compared: the one that most of its cases
+    /// met, and of those the one with most batches. `None` if the run met one state.
+    fn compared(&self, of: &Measurement, all: &[Measurement]) -> Option<usize> {
+        let group: Vec<_> = all
+            .iter()
+            .filter(|one| one.case.group == of.case.group)
+            .collect();
+        let met = |number: &usize| {
+            let batches = group.iter().map(|one| self.medians(one, *number));
+            let batches = batches.map(|of| of.into_iter().flatten().count());
+            batches.fold((0, 0), |(cases, sum), of| {
+                (cases + usize::from(of > 0), sum + of)
+            })
+        };
+        let states = 0..self.0.len();
+        let most = states.max_by_key(met).filter(|number| met(number).1 > 0);
+        most.filter(|_| self.0.len() > 1)
+    }
+
+    /// Returns what this case did in each state that it met.
+    fn row(
+        &self,
+        of: &Measurement,
+        floor: Option<&Measurement>,
+        compared: Option<usize>,
+    ) -> Vec<InMode> {
+        let states = self.0.iter().enumerate();
+        let states = states.filter(|_| self.0.len() > 1);
+        let met = states.filter_map(|(number, mode)| {
+            let p50 = self.p50(of, number)?;
+            let batches = self.medians(of, number).into_iter().flatten().count();
+            let floor = floor.and_then(|floor| self.p50(floor, number));
+            Some(InMode {
+                line_ns: rounded(mode.line_ps / 1e3, 10.0),
+                share: rounded(batches as f64 / of.batches.len() as f64, 1e3),
+                p50_ns: rounded(p50 / 1e3, 10.0),
+                ratio_to_floor_p50: floor.map(|floor| rounded(p50 / floor, 1e4)),
+                is_compared: compared == Some(number),
+            })
+        });
+        met.collect()
+    }
+}
+
 impl Row {
-    /// The figures of one case, beside those of its group's floor.
-    fn new(of: &Measurement, floor: Option<&Measurement>) -> Self {
+    /// The figures of one case, beside those of its group's floor, in this state of the line.
+    fn new(
+        of: &Measurement,
+        floor: Option<&Measurement>,
+        states: &States,
+        compared: Option<usize>,
+    ) -> Self {
+        let met = states.row(of, floor, compared);
+        let in_state = met.iter().find(|mode| mode.is_compared);
+        // With one state, all batches are in it.
+        let turns = |one: &Measurement| match compared {
+            Some(number) => states.medians(one, number),
+            None => one.p50_ps.iter().map(|ps| Some(*ps as f64)).collect(),
+        };
+        let range = floor.and_then(|floor| modes::range(&turns(of), &turns(floor)));
         let at = |quantile| of.times.value_at_quantile(quantile);
         let ratio = |quantile| {
             let floor = floor.filter(|floor| !floor.times.is_empty())?;
@@ -156,31 +269,40 @@ impl Row {
         let group = of.case.group;
         let batches = &of.batches;
         let payload_bytes = batches.last().map_or(0, |batch| batch.payload_bytes);
-        let rate = (at(0.5) > 0).then(|| 1e12 / at(0.5) as f64);
+        let p50_ps = in_state.map_or(at(0.5) as f64, |mode| mode.p50_ns * 1e3);
+        let rate = (p50_ps > 0.0).then(|| 1e12 / p50_ps);
         let bytes = rate.filter(|_| matches!(group, Throughput | Size) && payload_bytes > 0);
         let rate = rate.filter(|_| group == Throughput);
         let cpu: Vec<f64> = batches
             .iter()
             .filter_map(|b| b.cpu_ns_per_message)
             .collect();
+        let ratio_to_floor_p50 = match compared {
+            Some(_) => in_state.and_then(|mode| mode.ratio_to_floor_p50),
+            None => ratio(0.5),
+        };
+        let lines = of.lines_ps.iter().flatten();
         Self {
             name: of.case.full_name(),
             group: group.name(),
             what: of.case.what.to_owned(),
             payload_bytes,
-            p50_ns: ns(at(0.5)),
+            p50_ns: in_state.map_or(ns(at(0.5)), |mode| mode.p50_ns),
             p90_ns: ns(at(0.9)),
             p99_ns: ns(at(0.99)),
             p99_9_ns: ns(at(0.999)),
             max_ns: ns(of.times.max()),
             samples: of.times.len(),
-            ratio_to_floor_p50: ratio(0.5),
+            ratio_to_floor_p50,
+            ratio_range_p50: range.map(|ends| ends.map(|end| rounded(end, 1e4))),
+            modes: met,
             ratio_to_floor_p99_9: ratio(0.999),
             round_trip: RoundTrip::new(&of.round_trips),
             cpu_ns_per_message: median(&cpu).map(|cpu| rounded(cpu, 10.0)),
             messages_per_second: rate.map(f64::round),
             bytes_per_second: bytes.map(|rate| (rate * payload_bytes as f64).round()),
             batch_p50_ns: of.p50_ps.iter().map(|ps| ns(*ps)).collect(),
+            batch_line_ns: lines.map(|lines| lines.map(ns)).collect(),
             batch_steal_ms: of.steal_ms.clone(),
             curve: curve(&of.times),
             facts: facts(of),

@@ -51,9 +51,9 @@ fn the_file_has_the_names_that_readers_rely_on() {
         names
     };
     let run = "duration_s interrupted load machine noise results schema skipped";
-    let row = "batch_p50_ns batch_steal_ms bytes_per_second cpu_ns_per_message curve facts group \
-        max_ns messages_per_second name p50_ns p90_ns p99_9_ns p99_ns payload_bytes \
-        ratio_to_floor_p50 ratio_to_floor_p99_9 round_trip samples what";
+    let row = "batch_line_ns batch_p50_ns batch_steal_ms bytes_per_second cpu_ns_per_message curve \
+        facts group max_ns messages_per_second modes name p50_ns p90_ns p99_9_ns p99_ns \
+        payload_bytes ratio_range_p50 ratio_to_floor_p50 ratio_to_floor_p99_9 round_trip samples what";
     let machine = "cpu cpus pinned_to topology kernel build commit compiler flags versions";
     assert_eq!(names(&file).join(" "), run);
     assert_eq!(names(&file["results"][1]).join(" "), row);
@@ -92,6 +92,47 @@ fn percentiles_and_ratios_are_those_of_all_batches() {
     assert_eq!((fifo.ratio_to_floor_p50, floor.round_trip), (None, None));
     assert_eq!(tandem.cpu_ns_per_message, Some(150.0));
     assert_eq!(run.noise[0].name, "noise/cpu0");
+}
+
+/// A line takes 70 or 250 ns. Most batches of Tandem met the slow state and most of the floor the
+/// fast one, so that the medians of all samples are 3.8 times each other. In each state it is 1.1.
+#[test]
+fn medians_of_a_group_are_those_of_one_state() {
+    let in_states = |name: &str, slow: usize, ratio: f64| {
+        let lines = (0..20).map(|turn| if turn < slow { 250_000 } else { 70_000 });
+        let lines: Vec<u64> = lines.map(|ps: u64| ps).collect();
+        let batches = lines
+            .iter()
+            .map(|ps| vec![(*ps as f64 * ratio) as u64; 100]);
+        let mut of = measured(name, &batches.collect::<Vec<_>>());
+        of.lines_ps = lines.iter().map(|ps| Some([*ps; 2])).collect();
+        of
+    };
+    let mut floor = in_states("spin/floor", 3, 1.0);
+    // The state changed during this batch.
+    floor.lines_ps[19] = Some([70_000, 250_000]);
+    let all = [floor, in_states("spin/tandem", 11, 1.1)];
+    let run = Results::new(&all, &[0, 1], 1.0, false);
+    let [floor, tandem] = &run.results[..] else {
+        panic!("{:?}", run.results.len());
+    };
+    assert_eq!((floor.p50_ns, tandem.p50_ns), (70.0, 77.0));
+    assert_eq!(tandem.ratio_to_floor_p50, Some(1.1));
+    let states = |row: &Row| -> Vec<(f64, f64, f64, bool)> {
+        let modes = row.modes.iter();
+        let figures = modes.map(|of| (of.line_ns, of.share, of.p50_ns, of.is_compared));
+        figures.collect()
+    };
+    assert_eq!(
+        states(floor),
+        [(70.0, 0.8, 70.0, true), (250.0, 0.15, 250.0, false)]
+    );
+    assert_eq!(
+        states(tandem),
+        [(70.0, 0.45, 77.0, true), (250.0, 0.55, 275.0, false)]
+    );
+    // In too few turns both met this state.
+    assert_eq!(tandem.ratio_range_p50, None);
 }
 
 #[test]
@@ -145,7 +186,7 @@ fn a_curve_ends_where_ten_samples_are_left() {
             .all(|pair| pair[0].0 < pair[1].0 && pair[0].1 <= pair[1].1)
     );
     let few = measured("spin/floor", &[vec![1, 2, 3]]);
-    assert!(Row::new(&few, None).curve.is_empty());
+    assert!(Row::new(&few, None, &States(vec![]), None).curve.is_empty());
 }
 
 /// D-6: the latency of topics is measured beside the bare socket, a peer, and the transports inside
