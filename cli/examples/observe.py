@@ -31,7 +31,8 @@ class Roles(ctypes.Structure):
         ("state", ctypes.c_uint8 * 2),
         ("alive", ctypes.c_uint8 * 6),
         ("beats", ctypes.c_uint8 * 2),
-        ("reserved", ctypes.c_uint8 * 5),
+        ("cuts", ctypes.c_uint8 * 2),
+        ("reserved", ctypes.c_uint8 * 3),
     ]
 
     @staticmethod

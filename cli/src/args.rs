@@ -448,6 +448,8 @@ pub struct FaultArgs {
 pub enum FaultKind {
     /// A core overwrites the whole shared memory of its system
     Lmu,
+    /// Core 0 stops for 100 ms, longer than its watchdog waits
+    Hang,
     /// A stray handshake edge on the start line
     Handshake,
     /// A stray sync edge on the start line

@@ -32,7 +32,7 @@ const SILENT: Duration = Duration::from_secs(1);
 ///
 /// # Errors
 /// [`Failure::Usage`] if several runs are active or the file cannot be written;
-/// [`Failure::NothingHeard`] if no run is active, it does not publish, or it has no time;
+/// [`Failure::NothingHeard`] if the run does not publish, or has no time;
 /// [`Failure::CutShort`] at Ctrl-C.
 pub fn run(args: &TimeArgs) -> Result<(), Failure> {
     let places = OutputFile::check_all([("--json", args.json.as_deref())]);
@@ -93,14 +93,11 @@ fn observer(name: Option<&str>) -> Result<Observer, Failure> {
             )));
         }
         Err(RunError::NoRun) => {
-            let text = match name {
-                Some(name) => format!("no run {name} is active; tandem ps lists the runs"),
-                None => "no run is active; tandem run starts one, tandem time --board sim drives \
-                         in virtual time"
-                    .to_owned(),
-            };
-            return Err(Failure::NothingHeard(text));
+            let text = "no run is active; tandem run starts one, tandem time --board sim drives in \
+                        virtual time";
+            return Err(Failure::Usage(anyhow!(text)));
         }
+        Err(error) => return Err(Failure::usage(error)),
     }
     Observer::on(name).map_err(|error| {
         Failure::NothingHeard(format!("the run does not publish its time (yet): {error}"))

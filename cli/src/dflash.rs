@@ -4,23 +4,27 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, ensure};
+use anyhow::{Context as _, anyhow, ensure};
 use serde_json::{Value, json};
 use tandem_board::{DataFlash, FlashStatus, SystemId};
 use tandem_board_host::HostFlash;
 use tandem_redundancy::{FlashOp, Geometry, Loaded, StateStore, SystemState};
 
 use crate::args::{DflashArgs, DflashCommand};
+use crate::failure::Failure;
 
 /// Carries out the command and returns the text to print.
 ///
 /// # Errors
 /// If the folder does not exist, or a file is not a data flash, is in use, or cannot be written.
-pub fn run(args: &DflashArgs) -> anyhow::Result<String> {
+pub fn run(args: &DflashArgs) -> Result<String, Failure> {
     let shown = args.folder.display();
     let makes_it = matches!(args.command, DflashCommand::Init { .. });
     let there = makes_it || args.folder.is_dir();
-    ensure!(there, "--folder {shown}: there is no such folder");
+    if !there {
+        let what = anyhow!("--folder {shown}: there is no such folder");
+        return Err(Failure::Usage(what));
+    }
     match args.command {
         DflashCommand::Show => {}
         DflashCommand::Init { master } => {
@@ -191,6 +195,13 @@ mod tests {
         load(&HostFlash::open(&path(folder, system)).unwrap()).1
     }
 
+    fn said(failure: Failure) -> String {
+        match failure {
+            Failure::Usage(error) | Failure::Run(error) => error.to_string(),
+            other => panic!("{other:?}"),
+        }
+    }
+
     /// T-RED-1: `init` makes one system master and the other slave, and sets the rest to zero.
     #[test]
     fn a_suspended_system_is_revived() {
@@ -236,7 +247,7 @@ mod tests {
                 folder: folder.clone(),
                 json: false,
             };
-            let error = run(&args).unwrap_err().to_string();
+            let error = said(run(&args).unwrap_err());
             assert!(error.contains("no such folder"), "{error}");
             assert!(!folder.exists());
         }
@@ -251,7 +262,7 @@ mod tests {
             folder: folder.path().to_owned(),
             json: false,
         };
-        let error = run(&args).unwrap_err().to_string();
+        let error = said(run(&args).unwrap_err());
         assert!(error.contains("in use"), "{error}");
     }
 }

@@ -1,18 +1,24 @@
 //! `tandem cut`, `mend`, `power` and `fault`: inject faults into a run while it drives.
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, anyhow};
 use tandem_board::{Edge, HardwareFault, Line, SystemId};
 use tandem_board_host::Wire;
 use tandem_board_host::injection::Injection;
 
-use crate::args::{FaultArgs, FaultKind, PowerArgs, Switch, WireArgs, WireName};
+use crate::args::{FaultArgs, FaultKind, PowerArgs, RunChoice, Switch, WireArgs, WireName};
+use crate::failure::Failure;
+
+/// Enters the run. One that does not exist is an error of the command line, as for every command.
+fn on(run: &RunChoice) -> Result<Injection, Failure> {
+    Injection::on(run.name.as_deref()).map_err(Failure::usage)
+}
 
 /// Cuts a wire or restores it.
 ///
 /// # Errors
 /// If the run cannot be reached.
-pub fn set_cut(args: &WireArgs, is_cut: bool) -> anyhow::Result<()> {
-    let injection = Injection::on(args.run.name.as_deref())?;
+pub fn set_cut(args: &WireArgs, is_cut: bool) -> Result<(), Failure> {
+    let injection = on(&args.run)?;
     let from = match args.from {
         Some(system) => vec![system],
         None => SystemId::ALL.to_vec(),
@@ -25,8 +31,8 @@ pub fn set_cut(args: &WireArgs, is_cut: bool) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If the run cannot be reached, or the system is already in that state.
-pub fn power(args: &PowerArgs) -> anyhow::Result<()> {
-    let injection = Injection::on(args.run.name.as_deref())?;
+pub fn power(args: &PowerArgs) -> Result<(), Failure> {
+    let injection = on(&args.run)?;
     match args.switch {
         Switch::On => injection.power_on(args.system)?,
         Switch::Off => injection.power_off(args.system)?,
@@ -38,13 +44,23 @@ pub fn power(args: &PowerArgs) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If the run cannot be reached, or the fault is momentary and cannot be ended.
-pub fn fault(args: &FaultArgs) -> anyhow::Result<()> {
-    let injection = Injection::on(args.run.name.as_deref())?;
+pub fn fault(args: &FaultArgs) -> Result<(), Failure> {
+    let injection = on(&args.run)?;
     let hardware = match args.fault {
-        FaultKind::Lmu | FaultKind::Handshake | FaultKind::Sync if args.mend => {
-            bail!("this fault does not last: there is nothing to mend")
+        FaultKind::Lmu | FaultKind::Hang | FaultKind::Handshake | FaultKind::Sync if args.mend => {
+            return Err(Failure::Usage(anyhow!(
+                "this fault does not last: there is nothing to mend"
+            )));
         }
-        FaultKind::Lmu => return injection.scribble(args.system, args.seed).context("LMU"),
+        FaultKind::Lmu => {
+            injection.scribble(args.system, args.seed).context("LMU")?;
+            return Ok(());
+        }
+        FaultKind::Hang if injection.hang(args.system) => return Ok(()),
+        FaultKind::Hang => {
+            let what = anyhow!("system {} has no such core", args.system);
+            return Err(Failure::Run(what));
+        }
         FaultKind::Handshake => {
             injection.stray_edge(args.system, Line::Start, Edge::Rising);
             return Ok(());

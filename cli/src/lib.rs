@@ -72,10 +72,13 @@ fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
             core_process::run(&args, &run).with_context(|| format!("core {}{}", of.system, of.core))
         }
         ProcessArgs::Vehicle(args) => {
-            let run = RunConfig::from_extra(&args.common.extra)?;
-            match &run.demo {
+            let config = RunConfig::from_extra(&args.common.extra)?;
+            match &config.demo {
                 Some(files) => boot_demo::play(&args, files),
-                None => vehicle::run(&args, &run),
+                None => vehicle::run(&args, &config).and_then(|is_alone| match is_alone {
+                    true => run::report_alone(&args.common.run, &config),
+                    false => Ok(()),
+                }),
             }
             .context("vehicle")
         }

@@ -10,6 +10,7 @@ use crate::args::PsArgs;
 #[derive(Debug, Serialize)]
 struct Row {
     pid: u32,
+    run: String,
     kind: String,
     system: Option<String>,
     core: Option<usize>,
@@ -24,6 +25,7 @@ fn row(process: &Process) -> Row {
     let role = process.role.as_deref();
     Row {
         pid: process.pid,
+        run: process.run.to_string(),
         kind: process.kind.to_string(),
         system: process.system.map(|system: SystemId| system.to_string()),
         core: match process.kind {
@@ -97,7 +99,10 @@ mod tests {
     #[test]
     fn scripts_find_exactly_the_names_that_they_rely_on() {
         let json = serde_json::to_string(&row(&core())).unwrap();
-        let expected = r#"{"pid":17,"kind":"core","system":"B","core":2,"role":"master","cpu":1}"#;
+        let expected = concat!(
+            r#"{"pid":17,"run":"tandem-1-a","kind":"core","system":"B","core":2,"#,
+            r#""role":"master","cpu":1}"#
+        );
         assert_eq!(json, expected);
     }
 

@@ -29,6 +29,7 @@ use tandem_processes::files::RunFiles;
 use tandem_processes::percentiles::Spans;
 use tandem_processes::run_config::{LimitProfile, RunConfig};
 use tandem_record::clocks::{ChainClock, TimeLog};
+use tandem_record::happenings::Obeyed;
 use tandem_record::log::{Sample, VehicleRecord};
 use tandem_record::roles::RoleState;
 use tandem_record::{Entry, description, file};
@@ -276,6 +277,7 @@ pub fn run() -> anyhow::Result<()> {
 /// Converts the entries of a recording to messages for observers.
 struct News {
     roles: Roles,
+    obeyed: Obeyed,
     /// Time, ns, and system of the last accepted control frame.
     last: Option<(u64, SystemId)>,
     /// Time of the last trace record of each core, ns.
@@ -295,6 +297,7 @@ impl News {
         };
         Self {
             roles,
+            obeyed: Obeyed::default(),
             last: None,
             seen_ns: [0; CoreAddress::COUNT],
             start_ns: None,
@@ -349,7 +352,16 @@ impl News {
                 let _ = publisher.trace.publish(&event);
             }
             Entry::Frame(frame) => {
-                self.judge(frame);
+                for what in self.judge(frame) {
+                    let (at_ns, system) = (frame.at.as_ns(), self.roles.obeyed);
+                    let event = Event::new(
+                        at_ns,
+                        system,
+                        Event::VEHICLE,
+                        &format!("the vehicle {what}"),
+                    );
+                    let _ = publisher.trace.publish(&event);
+                }
                 let _ = publisher.can.publish(&of_frame(frame));
             }
             Entry::Vehicle(record) => match &**record {
@@ -362,19 +374,46 @@ impl News {
                         *state = u8::from(*on);
                     }
                 }
+                VehicleRecord::Hand {
+                    at_ns,
+                    system,
+                    what,
+                    cuts,
+                } => {
+                    if let Some(of) = self.roles.cuts.get_mut(usize::from(*system)) {
+                        *of = *cuts;
+                    }
+                    let _ =
+                        publisher
+                            .trace
+                            .publish(&Event::new(*at_ns, *system, Event::VEHICLE, what));
+                }
+                VehicleRecord::Collision { at_ns } => {
+                    let system = self.roles.obeyed;
+                    let event = Event::new(
+                        *at_ns,
+                        system,
+                        Event::VEHICLE,
+                        "the vehicle has a collision",
+                    );
+                    let _ = publisher.trace.publish(&event);
+                }
                 _ => {}
             },
         }
     }
 
-    fn judge(&mut self, frame: &LoggedFrame) {
+    /// Returns what has changed for the vehicle, in words.
+    fn judge(&mut self, frame: &LoggedFrame) -> Vec<&'static str> {
         let at_ns = frame.at.as_ns();
         self.roles.at_ns = self.roles.at_ns.max(at_ns);
         match (frame.ruling, frame.message()) {
             (Some(tandem_vehicle::Ruling::Accepted), Some(Message::Control { control, .. })) => {
                 let Some(system) = frame.controller() else {
-                    return;
+                    return vec![];
                 };
+                let (mode, asks) = (control.mode, control.takeover_request);
+                let changes = self.obeyed.change(mode, asks).collect();
                 self.roles.term = control.term;
                 self.roles.obeyed = system.index() as u8;
                 // A status frame has the mode of the redundancy: it does not say what is driven.
@@ -389,10 +428,11 @@ impl News {
                         self.roles.takeover_gap_ms = gap_ms;
                     }
                 }
+                return changes;
             }
             (None, Some(Message::Status { system, status })) => {
                 let Some(system) = SystemId::from_index(system.into()) else {
-                    return;
+                    return vec![];
                 };
                 let is_obeyed = usize::from(self.roles.obeyed) == system.index();
                 if status.role != RoleCode::Master || !is_obeyed {
@@ -406,6 +446,7 @@ impl News {
             }
             _ => {}
         }
+        vec![]
     }
 }
 

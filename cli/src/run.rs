@@ -9,19 +9,19 @@ use std::process::{Command, Stdio};
 use anyhow::{Context as _, bail};
 use tandem_board::{CoreAddress, Duration, SystemId};
 use tandem_board_host::injection::Injection;
-use tandem_board_host::realtime::{Claim, Grant, claim};
+use tandem_board_host::realtime::{Claim, Grant, claim, give_back};
 use tandem_board_host::{
     CoreArgs, Ended, LaunchPlan, Launcher, Leftovers, Pinning, ProcessArgs, RunName, Schedule,
 };
 use tandem_processes::boot::{self, ProgramFlashes};
 use tandem_processes::files::RunFiles;
 use tandem_processes::open_bus::{OpenBus, OpenBusPlace};
-use tandem_processes::run_config::{LimitProfile, RunConfig, UpdateFiles};
+use tandem_processes::run_config::{LastReport, LimitProfile, RunConfig, UpdateFiles};
 use tandem_processes::update::objections;
 use tandem_processes::{core_process, vehicle};
 use tandem_record::RunLog;
 use tandem_record::gap::Bounds;
-use tandem_record::verdict::Beside;
+use tandem_record::verdict::{Beside, Watch};
 use tandem_redundancy::Budget;
 use tandem_vehicle::Scenario;
 
@@ -70,6 +70,10 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let config = RunConfig {
         cpus: checked.cores(),
         stall_timers: watch.timers(),
+        report: Some(LastReport {
+            out: checked.out.path().to_owned(),
+            granted: granted.clone(),
+        }),
         ..config
     };
     let driven = drive(args, &checked, &config, &files, &mut launcher, publishing);
@@ -101,6 +105,23 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         ended.interrupted,
         updates,
     )
+}
+
+/// Writes the report of this run in the process of the vehicle, because the process that had
+/// started the run has died. Does nothing if that process would not have written one.
+///
+/// # Errors
+/// If the run left no recording, or the folder cannot be written.
+pub fn report_alone(run: &RunName, config: &RunConfig) -> anyhow::Result<()> {
+    let Some(LastReport { out, granted }) = &config.report else {
+        return Ok(());
+    };
+    // Nothing depends on this process any longer: it must not keep others from running.
+    give_back();
+    let out = ReportFolder::check(out)?;
+    let collected = Collected::new(&out, &RunFiles::of(run), &|| "ended alone".to_owned())?;
+    let around = surroundings(config, granted.clone()).after_launcher();
+    collected.write(&out, &around).map(drop)
 }
 
 /// Returns the configuration that the command line describes, without program flashes and without
@@ -327,6 +348,15 @@ impl Surroundings {
             watched_by: machine.watched_by,
             ..self
         }
+    }
+
+    /// The same after a run whose launcher has died. It alone had seen which stalls there were.
+    fn after_launcher(self) -> Self {
+        let beside = Beside {
+            watch: Watch::Ordinary,
+            ..self.beside
+        };
+        Self { beside, ..self }
     }
 
     /// Adds how the SoC of the run has ended, if there was one.

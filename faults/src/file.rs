@@ -15,10 +15,11 @@
 use crate::entry::Fault;
 use crate::kind::Kind;
 use crate::sequence::{Group, Sequence};
-use crate::words::{ms, wire};
+use crate::words::ms;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use tandem_board::Duration;
+use tandem_peripherals::network::Wire;
 use toml::{Spanned, Table, Value};
 
 /// The largest number of faults in a file.
@@ -66,7 +67,7 @@ fn fault(given: Table) -> Result<Fault, String> {
 fn keys(kind: Kind) -> String {
     let mut keys = Vec::new();
     if let Kind::Cut { .. } | Kind::Flap { .. } = kind {
-        keys.push(format!("`wire`: {}", wire::NAMES.join(", ")));
+        keys.push(format!("`wire`: {}", Wire::ALL.map(Wire::name).join(", ")));
     }
     keys.extend(kind.own_keys());
     keys.extend(kind.amount().map(|it| format!("`amount`: {it}")));

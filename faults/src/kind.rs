@@ -258,7 +258,7 @@ impl Kind {
     pub fn label(self) -> String {
         match (self, self.amount()) {
             (Self::Cut { wire } | Self::Flap { wire, .. }, _) => {
-                format!("{} {}", self.word(), wire::name(wire))
+                format!("{} {}", self.word(), wire.name())
             }
             (Self::WrongValue(wrong), _) => format!("{} {}", self.word(), wrong.signal.name()),
             (Self::DeafTo(to), _) => format!("{} {}", self.word(), to.frame.info().name),

@@ -5,29 +5,13 @@ pub(crate) mod wire {
     use serde::{Deserialize, Deserializer, Serializer, de::Error as _};
     use tandem_peripherals::network::Wire;
 
-    /// The names, in the order of [`Wire::ALL`].
-    pub(crate) const NAMES: [&str; 7] = [
-        "start",
-        "heartbeat-1",
-        "heartbeat-2",
-        "time",
-        "level",
-        "link",
-        "can",
-    ];
-
-    pub(crate) fn name(wire: Wire) -> &'static str {
-        let index = Wire::ALL.iter().position(|it| *it == wire);
-        index.map_or("", |index| NAMES[index])
-    }
-
     pub(crate) fn serialize<S: Serializer>(wire: &Wire, to: S) -> Result<S::Ok, S::Error> {
-        to.serialize_str(name(*wire))
+        to.serialize_str(wire.name())
     }
 
     pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Wire, D::Error> {
         let given = String::deserialize(from)?;
-        let wire = Wire::ALL.into_iter().find(|wire| name(*wire) == given);
+        let wire = Wire::ALL.into_iter().find(|wire| wire.name() == given);
         wire.ok_or_else(|| D::Error::custom(format!("there is no wire `{given}`")))
     }
 }

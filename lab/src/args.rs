@@ -124,10 +124,10 @@ pub(crate) struct CanLogArgs {
 }
 
 /// Arguments of `tandem judge`.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub(crate) struct JudgeArgs {
-    /// A folder of CommonRoad scenarios: every file *.xml in it
-    #[arg(value_name = "DIR")]
+    /// A folder of CommonRoad scenarios, every file *.xml in it, or one such file
+    #[arg(value_name = "DIR|FILE")]
     pub(crate) folder: PathBuf,
 
     /// How long to drive each scenario, in scenario time: 20, 20s, 1m
@@ -137,6 +137,10 @@ pub(crate) struct JudgeArgs {
     /// Seed of the sensors' noise
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
+
+    /// What the other road users do
+    #[arg(long, value_enum, default_value_t = OtherTraffic::React)]
+    pub(crate) traffic: OtherTraffic,
 
     /// Scenarios to drive in parallel [default: one for each CPU]
     #[arg(long, value_name = "N")]
@@ -153,6 +157,19 @@ pub(crate) struct JudgeArgs {
     /// Write each drive as a CommonRoad solution to this folder: solution_NAME for the file NAME
     #[arg(long, value_name = "DIR")]
     pub(crate) solutions: Option<PathBuf>,
+
+    /// Of one file: write the report of the drive to this folder, as for a run
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+/// Values of `--traffic` of `tandem judge`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum OtherTraffic {
+    /// They leave their recording and brake for the vehicle where they must; each is counted
+    React,
+    /// They drive their recorded tracks as they were, and disappear at the end of these
+    Replay,
 }
 
 /// Arguments of `tandem rtos-demo`.

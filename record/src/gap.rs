@@ -444,6 +444,7 @@ mod tests {
             system,
             term: 2 + system.index() as u32,
             mode: ModeCode::L3,
+            asks: false,
             age_ns: None,
             ruling,
         }

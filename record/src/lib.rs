@@ -9,6 +9,7 @@ pub mod clocks;
 pub mod description;
 pub mod file;
 pub mod gap;
+pub mod happenings;
 pub mod log;
 pub mod reaction;
 pub mod required_limits;

@@ -94,9 +94,15 @@ pub struct DriveFigures {
     /// Those collisions in which the ego vehicle was stationary.
     #[serde(default)]
     pub hit_while_standing: u32,
-    /// Largest distance of the vehicle's centre outside all lanes of its direction, m.
+    /// Largest distance of a corner of the vehicle outside all lanes of its direction, m.
     #[serde(default)]
     pub excursion_max_m: f64,
+    /// How many others had to brake with more than 1.5 m/s² for the vehicle.
+    #[serde(default)]
+    pub forced_brakes: u32,
+    /// The hardest of that braking, m/s², positive.
+    #[serde(default)]
+    pub forced_brake_max: f64,
     /// Time on lanes of the other direction, s.
     #[serde(default)]
     pub wrong_way_s: f64,
@@ -220,6 +226,24 @@ pub enum VehicleRecord {
         system: u8,
         /// Whether the system has power and is out of reset.
         on: bool,
+    },
+    /// A fault was injected into a system from outside, or ended.
+    Hand {
+        /// When the vehicle saw it, ns.
+        at_ns: u64,
+        /// 0 = A, 1 = B.
+        system: u8,
+        /// What was done, in words.
+        what: String,
+        /// The wires that start at the system and are cut now, one bit for each, in the order of
+        /// [`Wire::ALL`](tandem_peripherals::network::Wire::ALL).
+        cuts: u8,
+    },
+    /// The process that had started the run died. The vehicle drove on for a stated time, and then
+    /// ended the run.
+    LauncherDied {
+        /// When the vehicle saw it, ns.
+        at_ns: u64,
     },
     /// The vehicle's process, which is the bus, did not run.
     HeldUp {

@@ -115,6 +115,7 @@ mod tests {
                 system: SystemId::A,
                 term: 2,
                 mode: ModeCode::L3,
+                asks: false,
                 // The age is rounded as in a real frame.
                 age_ns: Some((sent_ns - oldest_ns) / 100_000 * 100_000 + 50_000),
                 ruling: Ruling::Accepted,

@@ -244,6 +244,7 @@ mod tests {
                 system: SystemId::A,
                 term: 1,
                 mode: ModeCode::Parking,
+                asks: false,
                 age_ns: None,
                 ruling: Ruling::Accepted,
             });

@@ -44,6 +44,8 @@ pub struct ControlFrame {
     pub term: u32,
     /// The mode of the driving function that made it.
     pub mode: ModeCode,
+    /// Whether the function asks the driver to take over.
+    pub asks: bool,
     /// Age of the oldest measurement behind it at sending, ns; `None` if there is none.
     pub age_ns: Option<u64>,
     /// The vehicle's ruling on it.
@@ -125,6 +127,10 @@ pub struct RunLog {
     pub supplies: Vec<(u64, SystemId, SupplyEvent)>,
     /// Changes of the systems' power.
     pub power: Vec<PowerChange>,
+    /// Faults that were injected from outside, or ended: when, ns, into which system, in words.
+    pub hands: Vec<(u64, SystemId, String)>,
+    /// When the process that had started the run died, ns; `None` if it did not.
+    pub launcher_died_ns: Option<u64>,
     /// Times in which the bus stalled.
     pub held_up: Vec<Stall>,
     /// When the vehicle touched another one, ns.
@@ -172,13 +178,13 @@ impl RunLog {
         self.sensor_time.hear(frame);
         let message = frame.message();
         if let Some(ruling) = frame.ruling {
-            let (mode, term, age_ns) = match message {
+            let (mode, asks, term, age_ns) = match message {
                 Some(Message::Control { control, .. }) if ruling != Ruling::Invalid => {
                     let age_ms = Some(f64::from(control.command_age)).filter(|ms| *ms < NO_AGE_MS);
                     let age_ns = age_ms.map(|ms| (ms * 1e6) as u64);
-                    (control.mode, control.term, age_ns)
+                    (control.mode, control.takeover_request, control.term, age_ns)
                 }
-                _ => (ModeCode::None, 0, None),
+                _ => (ModeCode::None, false, 0, None),
             };
             self.control
                 .extend(frame.controller().map(|system| ControlFrame {
@@ -187,6 +193,7 @@ impl RunLog {
                     system,
                     term,
                     mode,
+                    asks,
                     age_ns,
                     ruling,
                 }));
@@ -217,6 +224,17 @@ impl RunLog {
                 self.power
                     .extend(system.map(|system| PowerChange { at_ns, system, on }));
             }
+            VehicleRecord::Hand {
+                at_ns,
+                system,
+                what,
+                ..
+            } => {
+                let system = SystemId::from_index(system.into());
+                self.hands
+                    .extend(system.map(|system| (at_ns, system, what)));
+            }
+            VehicleRecord::LauncherDied { at_ns } => self.launcher_died_ns = Some(at_ns),
             VehicleRecord::HeldUp { from_ns, to_ns } => self.held_up.push(Stall {
                 of: Stood::Bus,
                 from_ns,

@@ -194,6 +194,7 @@ mod tests {
             system,
             term,
             mode: ModeCode::L3,
+            asks: false,
             age_ns: None,
             ruling: Ruling::Accepted,
         }

@@ -90,7 +90,7 @@ rules! {
     CutShort, "complete", Given("the end"), Fails, "the run did not reach its end";
     Collision, "collisions", AtMost(0.0, ""), Fails, "the vehicle touched another one";
     LeftLane, "excursion_max_m", AtMost(0.0, "m"), Fails,
-        "the vehicle's centre left all lanes of its direction";
+        "a corner of the vehicle left all lanes of its direction by more than 0.1 m";
     LateralError, "lateral_error_max_m", AtMost(LATERAL_ERROR_MAX_M, "m"), Reported,
         "a side of the vehicle crossed the line of its lane outside a lane change";
     OutsideDomain, "outside_domain_s", AtMost(0.0, "s"), Fails,

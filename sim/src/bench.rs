@@ -209,6 +209,8 @@ pub struct Bench {
     pub profile: Profile,
     /// Each kind of fault that was applied, with the state of the system that it hit.
     pub(crate) covered: Vec<(Kind, SequenceState)>,
+    /// The changes made so far, with their times; `None`: everything was restored.
+    applied: Vec<(Instant, Option<Effect>)>,
     /// The trace records read so far.
     traced: Vec<Traced>,
     bus: BusFaults,
@@ -281,6 +283,7 @@ impl Bench {
             bends,
             born,
             covered: Vec::new(),
+            applied: Vec::new(),
             traced: Vec::new(),
         }
     }
@@ -418,6 +421,11 @@ impl Bench {
             };
             log.push(Entry::Supply(at, system, event));
         }
+        for (at, change) in &self.applied {
+            for record in hand(*at, *change) {
+                log.push(Entry::Vehicle(Box::new(record)));
+            }
+        }
         let at_ns = self.vehicle.borrow().accepted.first().map(|it| it.at_ns);
         let start = at_ns.map(|at_ns| VehicleRecord::Start { at_ns });
         let at_ns = self.pair.now().as_ns();
@@ -481,11 +489,38 @@ impl Bench {
     }
 }
 
+/// Returns the records of an injected fault, or of the restoration of both systems.
+fn hand(at: Instant, change: Option<Effect>) -> impl Iterator<Item = VehicleRecord> {
+    let of = move |system: SystemId, what: String| VehicleRecord::Hand {
+        at_ns: at.as_ns(),
+        system: system.index() as u8,
+        what,
+        cuts: 0,
+    };
+    let record = match change {
+        Some(Effect::Fault(kind, system, true)) => {
+            Some(of(system, format!("fault begins: {kind}")))
+        }
+        Some(Effect::Fault(kind, system, false)) => Some(of(system, format!("fault ends: {kind}"))),
+        Some(Effect::Edge(from, line, edge)) => {
+            let what = format!("its {line:?} line has a stray edge: {edge:?}");
+            Some(of(from, what))
+        }
+        None => None,
+    };
+    let restored = SystemId::ALL
+        .into_iter()
+        .filter(move |_| change.is_none())
+        .map(move |system| of(system, "everything is restored".to_owned()));
+    record.into_iter().chain(restored)
+}
+
 impl Suffer for Bench {
     type Error = CannotSuffer;
 
     fn apply(&mut self, change: Effect) -> Result<(), CannotSuffer> {
         let pair = &mut self.pair;
+        self.applied.push((pair.now(), Some(change)));
         let (kind, of, on) = match change {
             Effect::Fault(kind, of, on) => (kind, of, on),
             Effect::Edge(from, line, edge) => {
@@ -548,6 +583,7 @@ impl Suffer for Bench {
     }
 
     fn restore(&mut self) {
+        self.applied.push((self.pair.now(), None));
         self.bus = BusFaults::default();
         self.vehicle.borrow_mut().poison = false;
         self.vehicle.borrow_mut().silent = false;

@@ -130,15 +130,35 @@ fn the_start_after_everything_was_killed_works_and_nothing_is_left() {
     assert_eq!(fixture.names(), ["tandem-report"]);
 }
 
+/// A run without `tandem run` drives on for a second, ends long before its scenario does, and
+/// leaves the report that `tandem run` would have written.
 #[test]
 fn the_systems_drive_on_without_tandem_run_and_then_vanish() {
     let fixture = Fixture::new();
-    let mut run = fixture.run(&["--duration", "3"]);
+    let mut run = fixture.run(&["--duration", "600"]);
     run.until_dual();
+    until_driven(&run);
     kill(run.launcher_pid());
     run.end();
-    run.until_dual();
     run.until_vanished();
+    let report = fixture.folder().join("tandem-report");
+    let metrics = std::fs::read(report.join("metrics.json")).unwrap();
+    let metrics: serde_json::Value = serde_json::from_slice(&metrics).unwrap();
+    assert_eq!(metrics["complete"], false, "{metrics:#}");
+    let findings = metrics["verdict"]["findings"].as_array().unwrap();
+    let cut_short = findings
+        .iter()
+        .find(|it| it["rule"] == "cut-short")
+        .unwrap();
+    let died_s = cut_short["at_s"].as_f64().unwrap();
+    let driven_s = metrics["duration_s"].as_f64().unwrap();
+    assert!(
+        driven_s >= died_s + 0.9,
+        "drove on: {died_s} s, {driven_s} s"
+    );
+    assert!(driven_s < 120.0, "{driven_s} s of 600 s");
+    let page = std::fs::read_to_string(report.join("report.html")).unwrap();
+    assert!(page.contains("was killed; the vehicle ends the run"));
     // On a machine without namespaces the next start removes the remaining files.
     fixture.run(&["--duration", "0.2"]).metrics();
     run.left_nothing();

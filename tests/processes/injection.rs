@@ -43,6 +43,43 @@ fn long_run(fixture: &Fixture) -> Run {
     ])
 }
 
+/// The report names each fault that a person injected, and each end of one.
+#[test]
+fn the_report_names_what_was_done_to_the_run() {
+    let fixture = Fixture::new();
+    let mut run = long_run(&fixture);
+    let master = dual_master(&run);
+    let standby = peer(&master);
+    for words in [
+        vec!["cut", "link", "--from", &master],
+        vec!["mend", "link"],
+        vec!["fault", "open-load", standby],
+        vec!["fault", "open-load", standby, "--mend"],
+        vec!["fault", "hang", standby],
+        vec!["power", "off", standby],
+    ] {
+        inject(&fixture, &run, &words);
+        // The vehicle looks at what it tells at least every 10 ms.
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    run.interrupt();
+    let page = std::fs::read_to_string(fixture.folder().join("tandem-report/report.html"));
+    let page = page.unwrap();
+    for (system, told) in [
+        (&*master, "its wire link is cut"),
+        (&*master, "its wire link is mended"),
+        (standby, "fault begins: open load of an output driver"),
+        (standby, "fault ends: open load of an output driver"),
+        (standby, "its core 0 is stopped for 100 ms"),
+        (standby, "its power is switched off"),
+    ] {
+        let row = format!("<td>hand on {system}</td><td>{told}</td>");
+        assert!(page.contains(&row), "{row}");
+    }
+    let lost = "is without power: its supply has ended";
+    assert!(page.contains(lost), "{lost}");
+}
+
 /// Returns the systems that took over, in order.
 fn drivers_of(metrics: &Value) -> Vec<&str> {
     let all = takeovers(metrics).into_iter();

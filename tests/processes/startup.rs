@@ -38,7 +38,7 @@ fn any_start_may_be_killed() {
             .map_or(run.launcher_pid(), |process| process.pid);
         kill(victim);
         run.end();
-        // If its launcher is killed, a run that drives continues to its end.
+        // If its launcher is killed, a run that drives ends within two seconds.
         run.until_vanished();
         killed.push(run);
     }

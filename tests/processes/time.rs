@@ -117,13 +117,23 @@ fn a_grandmaster_is_followed_and_its_death_is_told() {
     run.left_nothing();
 }
 
-/// A view of a run that is not there says so.
+/// Each command on a run or a folder that is not there says so, with the same exit status: 2.
 #[test]
-fn a_run_that_is_not_active_is_told() {
-    let output = Fixture::new().output(&["time", "tandem-0-none"]);
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(3), "{said}");
-    assert!(said.contains("no run tandem-0-none is active"), "{said}");
+fn what_is_not_there_is_told_with_one_exit_status() {
+    let fixture = Fixture::new();
+    let run = ["--run", "tandem-0-none"];
+    let with = |words: &[&'static str]| [words, &run].concat();
+    for words in [
+        vec!["time", "tandem-0-none"],
+        with(&["cut", "can"]),
+        with(&["mend", "can"]),
+        with(&["power", "off", "A"]),
+        with(&["fault", "hang", "A"]),
+        vec!["dflash", "show", "--folder", "tandem-0-none"],
+        vec!["run", "--dflash", "tandem-0-none"],
+    ] {
+        crate::fixture::refuses(&fixture, &words, &["tandem-0-none"]);
+    }
 }
 
 /// Other boards have no grandmaster's process.

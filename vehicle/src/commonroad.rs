@@ -250,8 +250,14 @@ impl<'a, 'input> Reader<'a, 'input> {
             ));
         }
         let problem = self.child(root, "planningProblem")?;
+        for other in elements(root, "planningProblem").skip(1) {
+            self.warn(other, "is not the first one: only the first is driven");
+        }
         let start = self.child(problem, "initialState")?;
         let ego = self.state(start, step_s, None)?;
+        if ego.speed.is_some_and(|speed| speed < 0.0) {
+            return Err(self.error(start, "begins backwards", "give a velocity of 0 or more"));
+        }
         if ego.t.abs() > TIME_MAX {
             return Err(self.error(problem, "starts later than a day", "give time steps"));
         }
@@ -391,6 +397,10 @@ impl<'a, 'input> Reader<'a, 'input> {
         let signs = references("trafficSignRef")?;
         let signed = signs.iter().find_map(|id| limits.get(id).copied());
         let own = optional(node, "speedLimit", |n| self.number(n))?;
+        if own.or(signed).is_some_and(|limit| limit < 0.0) {
+            let hint = "give metres per second, 0 or more";
+            return Err(self.error(node, "has a negative speed limit", hint));
+        }
         Ok(Some(Lanelet {
             id: self.id(node, "id")?,
             left,

@@ -17,7 +17,9 @@ const LANE_CHANGE_S: f64 = 10.0;
 /// A lane change never leads farther than this beyond the border of a lane, m.
 const BESIDE_ROAD: f64 = 0.5;
 /// A gap of up to this width between lanes of different widths counts as road, m.
-const LANE_GAP: f64 = 0.3;
+pub(crate) const LANE_GAP: f64 = 0.3;
+/// A corner this little over the line is not an excursion, m: the precision of maps.
+const ON_THE_LINE: f64 = 0.1;
 /// A slower ego counts as standing, m/s.
 const STANDING: f64 = 0.1;
 /// Lateral motion faster than this is intentional, m/s.
@@ -52,8 +54,16 @@ pub struct WorldMetrics {
     pub collisions_by_ego: u32,
     /// Collisions while the ego stood.
     pub hit_while_standing: u32,
-    /// How far the ego's centre was outside of all lanes of its direction, m; 0 if never.
+    /// How far the farthest corner of the ego was outside of all lanes of its direction, m, and
+    /// when, s; 0 if never by more than 0.1 m. What is outside at the start counts when it grows.
     pub excursion_max_m: f64,
+    /// The time of `excursion_max_m`.
+    pub excursion_at_s: f64,
+    /// How many others had to brake with more than 1.5 m/s² for the ego, and the hardest of that
+    /// braking, m/s², positive.
+    pub forced_brakes: u32,
+    /// The hardest braking of `forced_brakes`.
+    pub forced_brake_max: f64,
     /// Time with the centre outside of all lanes of its direction, s.
     pub off_lane_s: f64,
     /// The part of that time on a lane of the other direction, s.
@@ -122,6 +132,9 @@ impl Default for WorldMetrics {
             collisions_by_ego: 0,
             hit_while_standing: 0,
             excursion_max_m: 0.0,
+            excursion_at_s: 0.0,
+            forced_brakes: 0,
+            forced_brake_max: 0.0,
             off_lane_s: 0.0,
             wrong_way_s: 0.0,
             standing_s: 0.0,
@@ -202,6 +215,8 @@ pub(crate) struct Sample {
     pub(crate) width: f64,
     /// Whether the ego is on a lane of the other direction and not on one of its direction.
     pub(crate) wrong_way: bool,
+    /// How far its farthest corner is outside of all lanes of its direction, m.
+    pub(crate) outside: f64,
     pub(crate) pose: Pose,
     pub(crate) gap: f64,
     pub(crate) ttc: f64,
@@ -221,6 +236,8 @@ pub(crate) struct Meter {
     last_overlap: Vec<Option<f64>>,
     goals: Arc<[Goal]>,
     excursion: Excursion,
+    /// How far a corner was outside ever since the start, m.
+    outside_since_start: f64,
     lane: Option<LaneId>,
     stopped_since: Option<f64>,
     /// Time of the last emergency, s.
@@ -254,6 +271,7 @@ impl Meter {
                 excused: true,
             },
             goals,
+            outside_since_start: f64::INFINITY,
             lane: None,
             stopped_since: None,
             emergency_s: None,
@@ -398,7 +416,11 @@ impl Meter {
         if beyond > LANE_GAP {
             m.off_lane_s += 1e-3;
             m.wrong_way_s += if sample.wrong_way { 1e-3 } else { 0.0 };
-            m.excursion_max_m = m.excursion_max_m.max(beyond);
+        }
+        self.outside_since_start = self.outside_since_start.min(sample.outside);
+        let is_excursion = sample.outside > self.outside_since_start + ON_THE_LINE;
+        if is_excursion && sample.outside > m.excursion_max_m {
+            (m.excursion_max_m, m.excursion_at_s) = (sample.outside, sample.time_s);
         }
         if beyond > BESIDE_ROAD {
             m.lateral_error_max_m = m.lateral_error_max_m.max(offset);
@@ -506,6 +528,7 @@ mod tests {
         offset: 0.0,
         width: 3.5,
         wrong_way: false,
+        outside: 0.0,
         pose: Pose {
             position: Vec2::new(0.0, 0.0),
             yaw: 0.0,
@@ -617,6 +640,7 @@ mod tests {
                     time_s: (index * 100 + ms) as f64 * 1e-3,
                     lane: LaneId(*lane),
                     offset: *offset,
+                    outside: (offset.abs() + 0.9 - CRUISING.width / 2.0).max(0.0),
                     ..CRUISING
                 });
             }
@@ -657,8 +681,28 @@ mod tests {
         assert_eq!(lateral(&open).lateral_error_max_m, 1.4);
         let away = lateral(&[(0.1, 0), (1.7, 0), (-1.7, 1), (-4.0, 1), (9.0, 0), (8.0, 1)]);
         assert_eq!(away.lateral_error_max_m, 9.0);
-        assert_eq!(away.excursion_max_m, 9.0 - 1.75);
+        // The left side counts, not the centre.
+        assert!((away.excursion_max_m - (9.0 + 0.9 - 1.75)).abs() < 1e-9);
         assert!((away.off_lane_s - 0.3).abs() < 2e-3, "{}", away.off_lane_s);
+    }
+
+    /// A corner over the line counts. One that begins there counts when it goes farther.
+    #[test]
+    fn an_excursion_is_that_of_a_corner() {
+        assert_eq!(
+            lateral(&[(0.0, 0), (0.94, 0)]).excursion_max_m,
+            0.0,
+            "9 cm over the line"
+        );
+        let over = lateral(&[(0.0, 0), (1.05, 0), (0.0, 0)]);
+        assert!((over.excursion_max_m - 0.2).abs() < 1e-9, "{over:?}");
+        assert!((over.excursion_at_s - 0.1).abs() < 1e-9, "{over:?}");
+        assert_eq!(
+            lateral(&[(1.4, 0), (1.2, 0), (0.5, 0)]).excursion_max_m,
+            0.0
+        );
+        let grows = lateral(&[(1.4, 0), (1.6, 0), (0.5, 0)]);
+        assert!((grows.excursion_max_m - 0.75).abs() < 1e-9, "{grows:?}");
     }
 
     /// A vehicle that runs into another is the cause. A vehicle that is hit from behind, or in the

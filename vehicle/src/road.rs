@@ -136,6 +136,14 @@ impl RoadLane {
             .map(|(index, section)| (index as f64 * STEP, section))
     }
 
+    /// Returns how far `s` is beyond the mapped part of the lane, m; 0 within it. There the road is
+    /// invented: it goes straight on.
+    #[must_use]
+    pub fn beyond_map(&self, s: f64) -> f64 {
+        let last = (self.sections.len() - 1) as f64 * STEP;
+        (RUN_OUT - s).max(s - (last - RUN_OUT)).max(0.0)
+    }
+
     /// Returns whether the lane exists at arc length `s`.
     #[must_use]
     pub fn exists_at(&self, s: f64) -> bool {

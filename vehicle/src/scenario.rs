@@ -9,7 +9,7 @@ use crate::error::ScenarioError;
 use crate::geometry::{Footprint, Pose};
 use crate::plant::BMW_320I;
 use crate::road::{Frenet, ROAD_MAX, Road, RoadLane, domain};
-use crate::traffic::recording::Track;
+use crate::traffic::recording::{self, Track};
 
 /// The driver's requested speed without a speed limit and without faster traffic, m/s (50 km/h).
 const SET_SPEED_MIN: f64 = 13.9;
@@ -162,6 +162,12 @@ impl Scenario {
                 "{}: the operational design domain ends {distance:.0} m ahead: {exit}",
                 map.name
             ));
+        }
+        for obstacle in map.obstacles.iter().filter(|it| !it.is_static) {
+            warnings.extend(recording::defect(&obstacle.states).map(|what| {
+                let id = obstacle.id;
+                format!("{}: a defect of the data: obstacle {id}: {what}", map.name)
+            }));
         }
         let ego = Footprint {
             pose: start,

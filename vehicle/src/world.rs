@@ -16,7 +16,7 @@ use crate::driver::{self, Driver, Habit, View};
 use crate::emergency;
 use crate::gate::{Acceptance, Gate};
 use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
-use crate::metrics::{HARD_BRAKING, Meter, NOTED_BRAKING, Sample, WorldMetrics};
+use crate::metrics::{HARD_BRAKING, LANE_GAP, Meter, NOTED_BRAKING, Sample, WorldMetrics};
 use crate::plant::{self, BMW_320I};
 use crate::road::{Foot, LaneId, Road, Rough};
 use crate::route::{Here, Navigation};
@@ -139,6 +139,18 @@ pub struct WorldSnapshot {
     pub vehicles: Vec<VehicleSnapshot>,
 }
 
+impl WorldSnapshot {
+    /// Returns the area that the ego covers.
+    #[must_use]
+    pub fn footprint(&self) -> Footprint {
+        Footprint {
+            pose: self.pose,
+            length: BMW_320I.length,
+            width: BMW_320I.width,
+        }
+    }
+}
+
 /// The world outside of the controller. Deterministic: the same scenario, seed, frames and times
 /// give a bit-identical run.
 pub struct World {
@@ -163,6 +175,8 @@ pub struct World {
     lane_width: f64,
     /// Whether the ego is on a lane of the other direction.
     wrong_way: bool,
+    /// How far its farthest corner is outside of all lanes of its direction, m.
+    outside: f64,
     meter: Meter,
     transmitter: FrameTransmitter,
     snapshot: WorldSnapshot,
@@ -209,6 +223,7 @@ impl World {
             gate: Gate::new(),
             lane_width: 0.0,
             wrong_way: false,
+            outside: 0.0,
             transmitter: FrameTransmitter::new(),
             set_speed: scenario.set_speed,
             navigation: Navigation::new(Arc::clone(&scenario.goals), scenario.set_speed),
@@ -241,6 +256,13 @@ impl World {
     /// Sets the driver's actions in this run.
     pub fn set_driver(&mut self, habit: Habit) {
         self.driver = Driver::new(habit);
+    }
+
+    /// Makes the others drive their recorded tracks as they were: none reacts to the ego, and each
+    /// disappears where its recording ends. Call it before the first step.
+    pub fn replay_traffic(&mut self) {
+        self.traffic = self.traffic.as_recorded(&participant(&self.ego));
+        self.observe(true);
     }
 
     /// Sets which sensors fail in this run.
@@ -446,6 +468,7 @@ impl World {
             offset: self.ego.place.d,
             width: self.lane_width,
             wrong_way: self.wrong_way,
+            outside: self.outside,
             pose: self.ego.pose,
             gap: self.snapshot.gap,
             ttc: self.snapshot.ttc,
@@ -497,6 +520,41 @@ impl World {
         } else if self.world_ticks.is_multiple_of(TRAFFIC_TICKS) {
             self.wrong_way = self.road.is_oncoming(pose.position, pose.yaw);
         }
+        let (sine, cosine) = wrap_angle(heading - pose.yaw).sin_cos();
+        let half = (BMW_320I.length * sine.abs() + BMW_320I.width * cosine.abs()) / 2.0;
+        if self.ego.place.d.abs() + half <= self.lane_width / 2.0 {
+            self.outside = 0.0;
+        } else if self.world_ticks.is_multiple_of(TRAFFIC_TICKS) {
+            let corners = participant(&self.ego).footprint.corners();
+            let outside = corners.map(|corner| self.outside_lanes(corner));
+            self.outside = outside.into_iter().fold(0.0, f64::max);
+        }
+    }
+
+    /// Returns how far a point is outside of all lanes of the ego's direction, m. A narrow gap
+    /// between two of them counts as road.
+    fn outside_lanes(&self, point: Vec2) -> f64 {
+        let yaw = self.ego.pose.yaw;
+        let own = self.road.lane(self.ego.lane);
+        let near = own.project_near(point, self.ego.place.s);
+        if own.exists_at(near.s) && near.d.abs() <= own.width_at(near.s) / 2.0 {
+            return 0.0;
+        }
+        let (lane, place) = self.road.locate(point, yaw);
+        let lane = self.road.lane(lane);
+        let along = wrap_angle(lane.line.at(place.s).heading - yaw).abs() < ALONG;
+        let width = if along && lane.exists_at(place.s) {
+            lane.width_at(place.s)
+        } else {
+            0.0
+        };
+        let beyond = place.d.abs() - width / 2.0;
+        let [left, right] = lane.beside(place.s);
+        let beside = if place.d > 0.0 { left } else { right };
+        if beside.is_some() && beyond <= LANE_GAP {
+            return 0.0;
+        }
+        beyond.max(0.0)
     }
 
     /// Updates the snapshot.
@@ -622,7 +680,13 @@ impl World {
     /// Returns the figures of the run so far.
     #[must_use]
     pub fn metrics(&self) -> WorldMetrics {
-        self.meter.metrics()
+        let mut metrics = self.meter.metrics();
+        let braked = self.traffic.vehicles().iter().map(|it| it.braked_for_ego);
+        for hardest in braked.filter(|hardest| *hardest > 0.0) {
+            metrics.forced_brakes += 1;
+            metrics.forced_brake_max = metrics.forced_brake_max.max(hardest);
+        }
+        metrics
     }
 
     /// Returns the counts of the rulings on control frames.

@@ -181,6 +181,16 @@ fn errors_name_file_line_element_and_a_way_out() {
             "planningIssue",
             "<commonRoad> lacks <planningProblem>",
         ),
+        (
+            "<velocity><exact>22<",
+            "<velocity><exact>-22<",
+            "<initialState> begins backwards; give a velocity",
+        ),
+        (
+            "<speedLimit>25.5<",
+            "<speedLimit>-25.5<",
+            "has a negative speed limit; give metres per second",
+        ),
         ("</obstacle>", "", "not well-formed XML"),
     ];
     for (good, bad, expected) in cases {
@@ -210,6 +220,11 @@ fn what_cannot_be_used_is_left_out_with_a_warning() {
             "<lanelet id=\"2\">",
             degenerate,
             "<lanelet id=\"9\"> has a bound without length",
+        ),
+        (
+            "</commonRoad>",
+            "<planningProblem id=\"21\"/></commonRoad>",
+            "<planningProblem id=\"21\"> is not the first one",
         ),
     ];
     for (good, bad, expected) in cases {

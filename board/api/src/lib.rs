@@ -56,7 +56,7 @@ pub use supply::{ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer};
 pub use tester_desk::{DeskAction, TesterDesk};
 pub use time::{Duration, Instant};
 pub use trace::{SupplyEvent, TraceRecord, Traced};
-pub use vehicle::{Carried, Forgery, Pass, VehicleBus, VehiclePort};
+pub use vehicle::{Carried, Forgery, Handled, Pass, VehicleBus, VehiclePort};
 
 /// A word of the LMU: the standard 32-bit atomic. In a build with `--cfg stepped`, a test can stop
 /// a core before each access to the word.

@@ -56,6 +56,18 @@ pub struct Forgery {
     pub value: f64,
 }
 
+/// What was done to a system from outside.
+#[derive(Clone, Copy, Debug)]
+pub struct Handled<'a> {
+    /// The system.
+    pub system: SystemId,
+    /// What was done, in words.
+    pub what: core::fmt::Arguments<'a>,
+    /// The wires that start at the system and are cut now, one bit for each, in the order of the
+    /// board's wires.
+    pub cuts: u8,
+}
+
 /// A whole run as the vehicle sees it.
 pub trait VehiclePort: VehicleBus {
     /// Why the board failed.
@@ -83,6 +95,12 @@ pub trait VehiclePort: VehicleBus {
     /// Returns whether a person has asked to end the run early.
     fn stop_requested(&self) -> bool;
 
+    /// Returns when the process that had started the run died; `None` if it lives, or if the board
+    /// has no such process. The board ends the run a stated time after such a death.
+    fn launcher_died(&self) -> Option<Instant> {
+        None
+    }
+
     /// Returns what a foreign node forges. On most boards there is no such node.
     fn forgery(&self) -> Option<Forgery> {
         None
@@ -98,6 +116,10 @@ pub trait VehiclePort: VehicleBus {
 
     /// Takes the events of the supplies since the last call. A board may report none.
     fn drain_supplies(&mut self, _into: &mut dyn FnMut(Instant, SystemId, SupplyEvent)) {}
+
+    /// Passes on what was done to a system from outside since the last call, and what ended, in
+    /// words: faults that a person or a campaign injected. A board may report none.
+    fn drain_hands(&mut self, _into: &mut dyn FnMut(Handled<'_>)) {}
 
     /// Returns the role that the system shows.
     fn role(&self, system: SystemId) -> RoleLamp;

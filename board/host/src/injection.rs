@@ -15,7 +15,7 @@ use tandem_board::{CoreId, Edge, HardwareFault, Line, ResetRequest, SystemId};
 use tandem_peripherals::memory::scribble;
 use tandem_peripherals::network::Wire;
 
-use crate::backplane::{Backplane, BackplaneError};
+use crate::backplane::{Backplane, BackplaneError, Deed};
 use crate::doorbell::Ringers;
 use crate::memory;
 use crate::name::RunName;
@@ -26,6 +26,8 @@ use crate::supply::{poke, poke_launcher};
 /// Maximum time for the launcher to start a supply.
 const SWITCHED_ON_WITHIN: Duration = Duration::from_secs(2);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
+/// How long a core is stopped: longer than its watchdog waits.
+const HANG: Duration = Duration::from_millis(100);
 
 /// Why a run cannot be reached.
 #[derive(Debug, thiserror::Error)]
@@ -133,6 +135,7 @@ impl Injection {
 
     /// Makes the supply reset the system, as after a software request of core 0.
     pub fn reset(&self, system: SystemId) {
+        self.backplane.note(system, Deed::Reset);
         self.backplane.request_reset(system, ResetRequest::Software);
         poke(self.backplane, system);
     }
@@ -154,6 +157,7 @@ impl Injection {
     /// [`InjectionError::IsOff`], [`InjectionError::Kill`].
     pub fn power_off(&self, system: SystemId) -> Result<(), InjectionError> {
         let pid = self.supply(system).ok_or(InjectionError::IsOff(system))?;
+        self.backplane.note(system, Deed::PowerOff);
         kill_process(pid, Signal::KILL).map_err(|errno| InjectionError::Kill(errno.into()))
     }
 
@@ -165,6 +169,7 @@ impl Injection {
         if self.supply(system).is_some() {
             return Err(InjectionError::IsOn(system));
         }
+        self.backplane.note(system, Deed::PowerOn);
         self.backplane.request_power(system);
         poke_launcher(self.backplane);
         let begin = Instant::now();
@@ -176,6 +181,18 @@ impl Injection {
             std::thread::sleep(LOOK_AGAIN);
         }
         Ok(())
+    }
+
+    /// Stops core 0 of a system for 100 ms, longer than its watchdog waits. Blocks for that time.
+    /// Returns `false` if the core has no process.
+    pub fn hang(&self, system: SystemId) -> bool {
+        self.backplane.note(system, Deed::Hang);
+        let core = Target::Core(system, CoreId::CONTROL);
+        let is_stopped = self.signal(core, Signal::STOP);
+        std::thread::sleep(HANG);
+        // Fails if the watchdog has reset the core.
+        self.signal(core, Signal::CONT);
+        is_stopped
     }
 
     /// Returns the process of a system's supply, if it is alive.
@@ -195,6 +212,7 @@ impl Injection {
     /// # Errors
     /// [`InjectionError::Lmu`].
     pub fn scribble(&self, system: SystemId, seed: u32) -> Result<(), InjectionError> {
+        self.backplane.note(system, Deed::Scribble);
         scribble(memory::open_lmu(&self.run, system)?, seed);
         Ok(())
     }
@@ -207,6 +225,7 @@ impl Injection {
 
     /// Delivers to the other system an edge that this system did not send.
     pub fn stray_edge(&self, from: SystemId, line: Line, edge: Edge) {
+        self.backplane.note(from, Deed::StrayEdge);
         let arrives = self.backplane.send_edge(from, line, edge);
         if line.interrupts() && arrives {
             Ringers::new(&self.run).ring(from.peer(), CoreId::CONTROL);

@@ -1,7 +1,7 @@
 //! Starts a run and ends it without leaving processes or files behind.
 //!
 //! Driving and failover do not need the launcher: after the start it only waits. If it is killed,
-//! the run continues until the vehicle ends; all other processes end with the vehicle.
+//! the vehicle drives on for a second and then ends the run; all other processes end with it.
 
 use std::ffi::OsString;
 use std::io;

@@ -32,6 +32,7 @@ mod lines;
 mod memory;
 mod name;
 mod observe;
+mod outside;
 pub mod process_list;
 pub mod process_report;
 pub mod realtime;

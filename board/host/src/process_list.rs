@@ -102,6 +102,9 @@ pub enum RunError {
     /// No run is active.
     #[error("no run is active; `tandem run` starts one")]
     NoRun,
+    /// The named run is not active.
+    #[error("no run {0} is active; `tandem ps` lists the runs")]
+    NotActive(String),
     /// Several runs are active.
     #[error("several runs are active; name one of them by --run: {0}")]
     Several(String),
@@ -125,7 +128,7 @@ pub(crate) fn process_of(name: Option<&str>) -> Result<Process, RunError> {
     });
     found.dedup_by(|one, other| one.run == other.run);
     match found.len() {
-        0 => Err(RunError::NoRun),
+        0 => Err(name.map_or(RunError::NoRun, |name| RunError::NotActive(name.to_owned()))),
         1 => Ok(found.swap_remove(0)),
         _ => {
             let names: Vec<_> = found.iter().map(|it| it.run.to_string()).collect();

@@ -128,6 +128,13 @@ fn set_fifo(priority: u8) -> bool {
     unsafe { libc::sched_setscheduler(0, policy, &raw const param) == 0 }
 }
 
+/// Gives the real-time priority of the calling thread back. Returns whether it has none now.
+pub fn give_back() -> bool {
+    let param = libc::sched_param { sched_priority: 0 };
+    // SAFETY: `param` is a valid `sched_param` during the call; 0 means the calling thread.
+    unsafe { libc::sched_setscheduler(0, libc::SCHED_OTHER, &raw const param) == 0 }
+}
+
 #[inline(never)]
 fn touch_stack() {
     let stack = [0_u8; STACK];
@@ -188,6 +195,21 @@ mod tests {
         assert_eq!(cpus(), cpus_before);
         // SAFETY: only reads the policy of the calling thread.
         assert_eq!(unsafe { libc::sched_getscheduler(0) }, libc::SCHED_OTHER);
+    }
+
+    /// In a thread of its own: where the machine grants no priority, there is none to give back.
+    #[test]
+    fn a_priority_is_given_back() {
+        let policy = std::thread::spawn(|| {
+            let _ = set_fifo(1);
+            assert!(give_back());
+            // SAFETY: only reads the policy of the calling thread.
+            unsafe { libc::sched_getscheduler(0) }
+        });
+        assert_eq!(
+            policy.join().unwrap() & !libc::SCHED_RESET_ON_FORK,
+            libc::SCHED_OTHER
+        );
     }
 
     #[test]

@@ -5,8 +5,8 @@ use core::convert::Infallible;
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
 use tandem_board::{
-    CanFrame, Carried, CoreAddress, CoreId, Duration, Forgery, Instant, Pass, Received, RoleLamp,
-    SupplyEvent, SystemId, TraceRecord, Traced, VehicleBus, VehiclePort,
+    CanFrame, Carried, CoreAddress, CoreId, Duration, Forgery, Handled, Instant, Pass, Received,
+    RoleLamp, SupplyEvent, SystemId, TraceRecord, Traced, VehicleBus, VehiclePort,
 };
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
 use tandem_peripherals::network::{self, Network, Sent, Wire};
@@ -18,11 +18,18 @@ use crate::backplane::{
 };
 use crate::clock::{self, Ticker};
 use crate::doorbell::{Doorbell, DoorbellError, Owner, Ringers};
-use crate::spawn;
+use crate::outside::Outside;
+use crate::spawn::{self, Watched};
 use crate::trace_ring::Reader;
 
 /// The period of the vehicle.
 const PERIOD: Duration = Duration::from_ms(1);
+/// How long the vehicle drives on after the death of the launcher, and how often it looks.
+///
+/// A death must not disturb the drive, but nobody watches it any longer, and its processes have
+/// real-time priority. All but the vehicle's process end within 2 s of the death.
+const WITHOUT_LAUNCHER: Duration = Duration::from_ms(1_000);
+const LOOK_AT_LAUNCHER: Duration = Duration::from_ms(100);
 
 /// Why the vehicle cannot start.
 #[derive(Debug, thiserror::Error)]
@@ -77,6 +84,39 @@ pub struct HostVehiclePort {
     rung: bool,
     /// The vehicle sends no frame before this time, so earlier periods may be returned late.
     quiet_until: Instant,
+    launcher: LauncherWatch,
+    outside: Outside,
+}
+
+/// Notices the death of the process that started the run.
+#[derive(Debug)]
+struct LauncherWatch {
+    /// `None` once it has ended.
+    process: Option<Watched>,
+    look: Instant,
+    died: Option<Instant>,
+}
+
+impl LauncherWatch {
+    fn on(backplane: Backplane) -> Self {
+        Self {
+            process: Watched::new(backplane.launcher_pid()),
+            look: Instant::ORIGIN,
+            died: None,
+        }
+    }
+
+    /// Returns whether the launcher has been dead for so long that the run must end.
+    fn is_over(&mut self, now: Instant) -> bool {
+        if self.died.is_none() && now >= self.look {
+            self.look = now + LOOK_AT_LAUNCHER;
+            if self.process.as_ref().is_none_or(Watched::has_ended) {
+                (self.process, self.died) = (None, Some(now));
+            }
+        }
+        self.died
+            .is_some_and(|died| now.since(died) >= WITHOUT_LAUNCHER)
+    }
 }
 
 #[derive(Debug)]
@@ -160,6 +200,8 @@ impl HostVehiclePort {
             doorbell: Doorbell::attach(&args.common.run, Owner::Bus)?,
             rung: false,
             quiet_until: Instant::ORIGIN,
+            launcher: LauncherWatch::on(backplane),
+            outside: Outside::default(),
         })
     }
 
@@ -304,6 +346,9 @@ impl VehiclePort for HostVehiclePort {
 
     /// A disturbed bus needs work in each period.
     fn wait_for(&mut self, event: Instant) -> Result<Pass, Infallible> {
+        if self.launcher.is_over(clock::now()) {
+            self.backplane.request_stop();
+        }
         loop {
             let ticker = self.ticker.get_or_insert_with(|| Ticker::new(PERIOD));
             let next = ticker.next();
@@ -333,6 +378,12 @@ impl VehiclePort for HostVehiclePort {
 
     fn stop_requested(&self) -> bool {
         self.backplane.stop_requested()
+    }
+
+    fn launcher_died(&self) -> Option<Instant> {
+        let process = self.launcher.process.as_ref();
+        let has_ended = || process.is_none_or(Watched::has_ended).then(clock::now);
+        self.launcher.died.or_else(has_ended)
     }
 
     fn forgery(&self) -> Option<Forgery> {
@@ -367,6 +418,10 @@ impl VehiclePort for HostVehiclePort {
                 }
             }
         }
+    }
+
+    fn drain_hands(&mut self, into: &mut dyn FnMut(Handled<'_>)) {
+        self.outside.follow(self.backplane, into);
     }
 
     fn role(&self, system: SystemId) -> RoleLamp {

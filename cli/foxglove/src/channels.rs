@@ -230,10 +230,7 @@ impl Channels {
 
     fn event(&mut self, event: &Event) {
         let ns = self.utc(event.at_ns);
-        let part = match event.core {
-            u8::MAX => "supply".to_owned(),
-            core => format!("core {core}"),
-        };
+        let part = event.part();
         let message = Log {
             timestamp: Some(scene::timestamp(ns)),
             level: log::Level::Info.into(),

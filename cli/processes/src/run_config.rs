@@ -71,10 +71,22 @@ pub struct RunConfig {
     pub can: Option<OpenBusPlace>,
     /// For `tandem boot-demo`: the file with the records to send, and the file for the result.
     pub demo: Option<[PathBuf; 2]>,
+    /// What the vehicle's process needs to write the report if the process that started the run
+    /// dies; `None` if that process writes none either.
+    pub report: Option<LastReport>,
     /// The CPU of each core, in the order A0, A1, … B2; empty if the cores are not processes.
     pub cpus: Vec<usize>,
     /// Timers of the threads that watch for stalls. Each core 0 postpones the timer of its CPU.
     pub stall_timers: Vec<StallTimer>,
+}
+
+/// Where and how the vehicle's process writes the report of a run whose launcher has died.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LastReport {
+    /// The folder of the report, an absolute path.
+    pub out: PathBuf,
+    /// The permissions that the machine granted, in one line.
+    pub granted: String,
 }
 
 /// An [`Alarm`] that the processes inherit.
@@ -231,6 +243,10 @@ mod tests {
                 port: 7,
             }),
             demo: None,
+            report: Some(LastReport {
+                out: PathBuf::from("/tmp/report"),
+                granted: "rt".to_owned(),
+            }),
             cpus: vec![0, 1, 0, 1, 0, 1],
             stall_timers: vec![StallTimer {
                 cpu: 1,

@@ -7,8 +7,8 @@ use tandem_board::{CanFrame, Carried, Instant, Pass, SystemId, VehiclePort};
 use tandem_board_host::process_list::role_name;
 use tandem_board_host::{HostVehiclePort, VehicleArgs};
 use tandem_record::Entry;
-use tandem_record::log::{Header, RoadPiece, Sample, VehicleRecord};
-use tandem_vehicle::{Habit, LoggedFrame, Scenario, World, WorldConfig, WorldSnapshot};
+use tandem_record::log::{Header, VehicleRecord};
+use tandem_vehicle::{Habit, LoggedFrame, Scenario, World, WorldConfig};
 
 use crate::files::RunFiles;
 use crate::forging::Forging;
@@ -32,18 +32,20 @@ const FORGED_TICKS: u64 = 10;
 /// The run ends if no control frame was accepted within this number of ticks of 1 ms.
 const GIVE_UP_TICKS: u64 = 15_000;
 
-/// Drives the scenario to its end.
+/// Drives the scenario to its end. Returns whether the process that had started the run died: then
+/// nobody else reads the recording.
 ///
 /// # Errors
 /// If the scenario cannot be loaded, the run has ended, or its recording cannot be written.
-pub fn run(args: &VehicleArgs, run: &RunConfig) -> anyhow::Result<()> {
+pub fn run(args: &VehicleArgs, run: &RunConfig) -> anyhow::Result<bool> {
     let scenario = Scenario::load(&run.scenario)?;
     let recorder = Recorder::create(&RunFiles::of(&args.common.run))?;
     // Start the recorder first, because its thread must not inherit this thread's priority.
     let _ = args.claim();
     let mut port =
         HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;
-    drive(run, &scenario, &mut port, recorder).map(drop)
+    drive(run, &scenario, &mut port, recorder)?;
+    Ok(port.launcher_died().is_some())
 }
 
 /// Drives the scenario to its end, with a controller on any board.
@@ -341,6 +343,15 @@ where
         let Self { port, recorder, .. } = self;
         let mut lost = 0;
         let dropped = port.drain_trace(&mut |traced| lost += u64::from(!recorder.trace(traced)));
+        let at_ns = port.now().as_ns();
+        port.drain_hands(&mut |handled| {
+            recorder.record(VehicleRecord::Hand {
+                at_ns,
+                system: handled.system.index() as u8,
+                what: handled.what.to_string(),
+                cuts: handled.cuts,
+            });
+        });
         port.drain_supplies(&mut |at, system, event| {
             recorder.record(Entry::Supply(at, system, event));
         });
@@ -350,37 +361,13 @@ where
     fn sample(&mut self, now_ns: u64) {
         let snapshot = self.world.snapshot();
         if self.ticks.is_multiple_of(ROAD_TICKS) || snapshot.time_s <= 0.0015 {
-            let lanes = world_record::lanes(self.world.road(), snapshot.pose.position);
-            self.recorder.record(VehicleRecord::Road(RoadPiece {
-                at_ns: now_ns,
-                lanes,
-            }));
+            let road = world_record::road_piece(&self.world, now_ns);
+            self.recorder.record(VehicleRecord::Road(road));
         }
         if self.ticks.is_multiple_of(SAMPLE_TICKS) {
-            let mut sample = self.state(now_ns, snapshot);
-            if self.ticks.is_multiple_of(OTHERS_TICKS) {
-                sample.others = snapshot.vehicles.iter().map(world_record::other).collect();
-            }
+            let others = self.ticks.is_multiple_of(OTHERS_TICKS);
+            let sample = world_record::sample(&self.world, now_ns, others);
             self.recorder.record(VehicleRecord::Sample(sample));
-        }
-    }
-
-    fn state(&self, now_ns: u64, snapshot: &WorldSnapshot) -> Sample {
-        let gap = Some(snapshot.gap).filter(|gap| gap.is_finite());
-        Sample {
-            at_ns: now_ns,
-            x: snapshot.pose.position.x,
-            y: snapshot.pose.position.y,
-            heading: snapshot.pose.yaw,
-            speed: snapshot.speed,
-            set_speed: Some(self.world.set_speed()),
-            accel: snapshot.acceleration,
-            lat_accel: snapshot.lateral_acceleration,
-            lane: snapshot.lane.0,
-            lateral_error: snapshot.lateral_offset,
-            lead_gap: gap,
-            closing_speed: gap.map(|_| snapshot.speed - snapshot.leader_speed),
-            others: Vec::new(),
         }
     }
 
@@ -414,11 +401,15 @@ where
             // control frame counts as a drive.
             self.note_start(at_ns);
             if self.running {
-                let last = self.state(at_ns, self.world.snapshot());
+                let last = world_record::sample(&self.world, at_ns, false);
                 self.recorder.record(VehicleRecord::Sample(last));
             }
         }
         let Self { port, recorder, .. } = &mut self;
+        let died = port.launcher_died();
+        if let Some(at_ns) = died.map(Instant::as_ns) {
+            recorder.record(VehicleRecord::LauncherDied { at_ns });
+        }
         port.salvage_trace(&mut |traced| {
             recorder.trace(traced);
         });

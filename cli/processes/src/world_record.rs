@@ -1,9 +1,9 @@
 //! Converts the state of the world to entries of a recording.
 
-use tandem_record::log::{Comfort, DriveFigures, Lane, Other};
+use tandem_record::log::{Comfort, DriveFigures, Lane, Other, RoadPiece, Sample};
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road};
-use tandem_vehicle::{VehicleSnapshot, WorldMetrics};
+use tandem_vehicle::{VehicleSnapshot, World, WorldMetrics};
 
 /// The recorded road extends from this far behind the vehicle to this far ahead of it, m.
 const ROAD_BACK_M: f64 = 100.0;
@@ -21,6 +21,8 @@ pub fn figures(metrics: &WorldMetrics) -> DriveFigures {
         collisions_by_ego: metrics.collisions_by_ego,
         hit_while_standing: metrics.hit_while_standing,
         excursion_max_m: metrics.excursion_max_m,
+        forced_brakes: metrics.forced_brakes,
+        forced_brake_max: metrics.forced_brake_max,
         wrong_way_s: metrics.wrong_way_s,
         standing_s: metrics.standing_s,
         goal_reached_s: metrics.goal_reached_s,
@@ -45,8 +47,38 @@ pub fn figures(metrics: &WorldMetrics) -> DriveFigures {
     }
 }
 
+/// Converts the state of the world at this time, ns; `others`: with the other vehicles.
+#[must_use]
+pub fn sample(world: &World, at_ns: u64, others: bool) -> Sample {
+    let now = world.snapshot();
+    let gap = Some(now.gap).filter(|gap| gap.is_finite());
+    let vehicles = now.vehicles.iter().filter(|_| others);
+    Sample {
+        at_ns,
+        x: now.pose.position.x,
+        y: now.pose.position.y,
+        heading: now.pose.yaw,
+        speed: now.speed,
+        set_speed: Some(world.set_speed()),
+        accel: now.acceleration,
+        lat_accel: now.lateral_acceleration,
+        lane: now.lane.0,
+        lateral_error: now.lateral_offset,
+        lead_gap: gap,
+        closing_speed: gap.map(|_| now.speed - now.leader_speed),
+        others: vehicles.map(other).collect(),
+    }
+}
+
+/// Converts the road around the ego vehicle at this time, ns.
+#[must_use]
+pub fn road_piece(world: &World, at_ns: u64) -> RoadPiece {
+    let lanes = lanes(world.road(), world.snapshot().pose.position);
+    RoadPiece { at_ns, lanes }
+}
+
 /// Converts the state of another vehicle.
-pub(crate) fn other(vehicle: &VehicleSnapshot) -> Other {
+fn other(vehicle: &VehicleSnapshot) -> Other {
     Other {
         x: vehicle.pose.position.x,
         y: vehicle.pose.position.y,
@@ -57,7 +89,7 @@ pub(crate) fn other(vehicle: &VehicleSnapshot) -> Other {
 }
 
 /// Returns the lanes around a point.
-pub(crate) fn lanes(road: &Road, near: Vec2) -> Vec<Lane> {
+fn lanes(road: &Road, near: Vec2) -> Vec<Lane> {
     let count = ((ROAD_BACK_M + ROAD_AHEAD_M) / ROAD_STEP_M) as u32;
     let around = |lane: &tandem_vehicle::road::RoadLane| {
         let place = lane.project(near);

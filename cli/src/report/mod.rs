@@ -12,6 +12,7 @@ use maud::{Markup, html};
 use tandem_board::SystemId;
 use tandem_page::chart::Chart;
 use tandem_page::{legend, section, tile};
+use tandem_record::happenings::happenings;
 use tandem_record::roles::RoleState;
 use tandem_record::verdict::{Grade, modes};
 use tandem_record::{RunLog, Takeover, description, takeovers};
@@ -407,29 +408,12 @@ fn events(log: &RunLog) -> Markup {
             Some((log.seconds(event.at_ns), who, what))
         })
         .collect();
-    let vehicle =
-        |at_ns: u64, what: &str| (log.seconds(at_ns), "vehicle".to_owned(), what.to_owned());
-    rows.extend(
-        log.collisions_ns
-            .iter()
-            .map(|at_ns| vehicle(*at_ns, "collision")),
-    );
-    rows.extend(
-        log.start_ns
-            .map(|at_ns| vehicle(at_ns, "obeys the first control frame")),
-    );
-    rows.extend(log.power.iter().map(|power| {
-        let what = if power.on {
-            "has power"
-        } else {
-            "is without power or held in reset"
-        };
-        (
-            log.seconds(power.at_ns),
-            format!("system {}", power.system),
-            what.to_owned(),
-        )
+    rows.extend(log.supplies.iter().map(|(at_ns, system, event)| {
+        let what = description::supply_event(*event);
+        (log.seconds(*at_ns), format!("supply {system}"), what)
     }));
+    let told = happenings(log).into_iter();
+    rows.extend(told.map(|(at_ns, who, what)| (log.seconds(at_ns), who.to_string(), what)));
     rows.sort_by(|a, b| a.0.total_cmp(&b.0));
     let rows = merged(rows);
     let more = rows.len().saturating_sub(EVENT_ROWS);

@@ -207,6 +207,7 @@ fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
             system,
             term,
             mode,
+            asks: false,
             age_ns: None,
             ruling: Ruling::Accepted,
         });

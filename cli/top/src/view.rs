@@ -43,7 +43,7 @@ pub(super) struct Desk {
 pub(super) fn draw(picture: &Picture, desk: &Desk, frame: &mut Frame<'_>) {
     let areas = Layout::vertical([
         Constraint::Length(1),
-        Constraint::Length(5),
+        Constraint::Length(6),
         Constraint::Length(3),
         Constraint::Length(4),
         Constraint::Min(3),
@@ -136,9 +136,21 @@ fn draw_system(
         Line::from(cores.into_iter().flatten().collect::<Vec<_>>()),
         Line::from(beats_line),
         Line::from(obeyed),
+        Line::styled(cuts(&roles, system), Style::new().fg(Color::Red)),
     ];
     let block = Block::bordered().border_style(colour).title(title);
     frame.render_widget(Paragraph::new(lines).block(block), area);
+}
+
+/// Names the wires that start at this system and are cut; empty if none is.
+fn cuts(roles: &Roles, system: SystemId) -> String {
+    let mut text = String::new();
+    for wire in roles.cut_wires(system.index()) {
+        let lead = if text.is_empty() { "cut:" } else { "" };
+        // All seven names fit into half of 80 columns.
+        text += &format!("{lead} {}", wire.replace("heartbeat-", "beat"));
+    }
+    text
 }
 
 /// Draws the lane from above: its edges, its centre, and the vehicle.
@@ -201,11 +213,8 @@ fn draw_events(picture: &Picture, area: Rect, frame: &mut Frame<'_>) {
     let line = |event: &Event| {
         let at_s = event.at_ns.saturating_sub(begin_ns) as f64 * 1e-9;
         let system = if event.system == 0 { 'A' } else { 'B' };
-        let of = match event.core {
-            u8::MAX => "supply".to_owned(),
-            core => format!("core {core}"),
-        };
-        Line::from(format!("{at_s:8.2} s  {system} {of:6}  {}", event.text()))
+        let part = event.part();
+        Line::from(format!("{at_s:8.2} s  {system} {part:7}  {}", event.text()))
     };
     let newest = picture.events.iter().rev().take(rows).map(line);
     let block = Block::bordered().title(" events, the newest first ");
@@ -249,6 +258,7 @@ mod tests {
                 state: [1, 4],
                 alive: [1, 0, 0, 1, 1, 1],
                 beats: [0, 3],
+                cuts: [0b110_0000, 0],
                 ..Roles::default()
             }));
         }
@@ -312,6 +322,7 @@ mod tests {
             "core 0 ● core 1 ○ core 2 ○",
             "heartbeats 1 ○ 2 ○",
             "obeys it, term 13",
+            "cut: link can",
             "0.21 m right of its centre",
             "max 18.0, takeovers 1",
             "takes over: power level fell",

@@ -2,23 +2,11 @@
 
 use std::fmt;
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
 use tandem_board::{CoreId, SystemId};
-use tandem_board_host::RunName;
 use tandem_board_host::process_list::{self, ProcessKind};
-
-/// Duration of a hang.
-const HANG: Duration = Duration::from_millis(100);
-const WIRES: [&str; 6] = [
-    "heartbeat-1",
-    "heartbeat-2",
-    "start",
-    "level",
-    "link",
-    "can",
-];
+use tandem_board_host::{RunName, Wire};
 
 /// What a hand does to a system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -157,8 +145,8 @@ impl Hands {
                 self.command(&["cut", "heartbeat-2", "--from", &name])
             }
             Hand::Mend => {
-                for wire in WIRES {
-                    self.command(&["mend", wire])?;
+                for wire in Wire::ALL {
+                    self.command(&["mend", wire.name()])?;
                 }
                 Ok("mend all wires".to_owned())
             }
@@ -171,12 +159,9 @@ impl Hands {
                 Ok(format!("kill core {} of {name}", core.index()))
             }
             Hand::Hang => {
-                let pid = self.signal(system, Some(CoreId::CONTROL), Signal::STOP)?;
-                std::thread::spawn(move || {
-                    std::thread::sleep(HANG);
-                    // This call fails if the watchdog has reset the core.
-                    let _ = kill_process(pid, Signal::CONT);
-                });
+                // Only a command can enter the run. Refuse here if there is no such core.
+                self.signal(system, Some(CoreId::CONTROL), Signal::CONT)?;
+                self.command(&["fault", "hang", &name])?;
                 Ok(format!("core 0 of {name} hangs for 100 ms"))
             }
         }
@@ -208,7 +193,7 @@ impl Hands {
         system: SystemId,
         core: Option<CoreId>,
         signal: Signal,
-    ) -> Result<Pid, Refused> {
+    ) -> Result<(), Refused> {
         let is_it = |process: &process_list::Process| {
             let of = match process.kind {
                 ProcessKind::Core(of, _) => Some(of),
@@ -220,7 +205,7 @@ impl Hands {
         let found = process_list::of_run(&self.run).into_iter().find(is_it);
         let pid = found.and_then(|it| Pid::from_raw(i32::try_from(it.pid).ok()?));
         let reached = pid.filter(|pid| kill_process(*pid, signal).is_ok());
-        reached.ok_or_else(|| match core {
+        reached.map(drop).ok_or_else(|| match core {
             Some(_) => Refused(format!("{system} has no such core")),
             None => Refused(format!("{system} has no supply")),
         })

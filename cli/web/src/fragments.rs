@@ -169,6 +169,7 @@ fn system(history: &History, system: SystemId) -> Markup {
             @for line in 0..2 {
                 (lamp(&format!("heartbeat {}", line + 1), roles.beats[index] >> line & 1 == 1))
             }
+            @for wire in roles.cut_wires(index) { (lamp(&format!("cut: {wire}"), false)) }
         }
     }
 }

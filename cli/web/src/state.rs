@@ -43,6 +43,8 @@ struct System {
     cores_alive: [bool; 3],
     /// Whether the heartbeats of each line arrive at the other system.
     heartbeats: [bool; 2],
+    /// The wires that start at the system and are cut.
+    cut: Vec<&'static str>,
 }
 
 /// A time without redundancy.
@@ -90,6 +92,7 @@ impl<'a> State<'a> {
                     state: state_name(roles.state[index]),
                     cores_alive: [0, 1, 2].map(|core| roles.alive[3 * index + core] != 0),
                     heartbeats: [0, 1].map(|line| roles.beats[index] >> line & 1 == 1),
+                    cut: roles.cut_wires(index).collect(),
                 }
             };
             SystemId::ALL.map(system).into()
@@ -140,10 +143,7 @@ pub(crate) fn events(history: &History) -> Vec<EventState<'_>> {
         let system = if event.system == 0 { 'A' } else { 'B' };
         EventState {
             at_s: event.at_ns.saturating_sub(begin_ns) as f64 * 1e-9,
-            who: match event.core {
-                u8::MAX => format!("{system} supply"),
-                core => format!("{system}{core}"),
-            },
+            who: format!("{system} {}", event.part()),
             what: event.text(),
         }
     });

@@ -1,28 +1,44 @@
-//! `tandem judge`: drives a folder of scenarios in virtual time, and judges each drive.
+//! `tandem judge`: drives scenarios in virtual time, and judges each drive.
 
 mod drive;
+mod drive_log;
+mod lanelets;
 mod page;
+mod rss;
 mod solution;
 
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, anyhow, bail};
 use drive::{Judgement, Verdict};
+use rss::Collision;
 use tandem_page::output::{OutputFile, OutputFolder};
 use tandem_record::verdict::Rule;
 
 use crate::args::JudgeArgs;
 use crate::work;
 use tandem::failure::Failure;
+use tandem::output::{REPORT, ReportFolder};
 
-/// Judges all scenarios of the folder.
+/// Judges all scenarios of the folder, or one file.
 ///
 /// # Errors
 /// If the folder cannot be read or has no scenario, a result cannot be written, or the ego caused
-/// a collision.
+/// a collision or left its lanes.
 pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
-    let files = scenarios(&args.folder).map_err(Failure::Usage)?;
+    let (folder, files) = place(&args.folder).map_err(Failure::Usage)?;
+    let args = &JudgeArgs {
+        folder,
+        ..args.clone()
+    };
+    if args.out.is_some() && files.len() != 1 {
+        let count = files.len();
+        let what = anyhow!("--out is for the drive of one file; there are {count}: name one");
+        return Err(Failure::Usage(what));
+    }
+    let out = args.out.as_deref().map(ReportFolder::check).transpose();
+    let out = out.map_err(Failure::Usage)?;
     let places = [
         ("--json", args.json.as_deref()),
         ("--html", args.html.as_deref()),
@@ -32,7 +48,7 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     let folder = args.solutions.as_deref();
     let folder = folder.map(|folder| OutputFolder::check("--solutions", folder));
     let solutions_to = folder.transpose().map_err(Failure::usage)?;
-    let judged = all(args, &files)?;
+    let judged = all(args, &files, out.as_ref())?;
     if !json_to.as_ref().is_some_and(OutputFile::is_stdout) {
         tandem::print(&table(&judged))?;
     }
@@ -49,16 +65,26 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
         });
         place.fill(&solved.collect::<Vec<_>>())?;
     }
-    let caused: Vec<String> = judged
-        .iter()
-        .filter(|it| it.collision_by_ego)
-        .map(|it| format!("{}: a collision that the vehicle caused", it.file))
-        .collect();
-    if caused.is_empty() {
+    if let Some(out) = out.filter(|out| out.path().join(REPORT).exists()) {
+        eprintln!("report: {}", out.path().join(REPORT).display());
+    }
+    let broken: Vec<String> = judged.iter().filter_map(Judgement::objection).collect();
+    if broken.is_empty() {
         Ok(())
     } else {
-        Err(Failure::Objections(caused))
+        Err(Failure::Objections(broken))
     }
+}
+
+/// Returns the folder and the names of the scenarios in it: all, or one if it is a file.
+fn place(given: &Path) -> anyhow::Result<(PathBuf, Vec<String>)> {
+    if !given.is_file() {
+        return Ok((given.to_owned(), scenarios(given)?));
+    }
+    let name = given.file_name().and_then(|name| name.to_str());
+    let name = name.with_context(|| format!("{}: no name of a file", given.display()))?;
+    let folder = given.parent().unwrap_or_else(|| Path::new("."));
+    Ok((folder.to_owned(), vec![name.to_owned()]))
 }
 
 /// Returns the names of the CommonRoad files in the folder, sorted.
@@ -78,11 +104,15 @@ fn scenarios(folder: &Path) -> anyhow::Result<Vec<String>> {
 }
 
 /// Judges the files on several threads. The results are in the order of `files`.
-fn all(args: &JudgeArgs, files: &[String]) -> anyhow::Result<Vec<Judgement>> {
+fn all(
+    args: &JudgeArgs,
+    files: &[String],
+    out: Option<&ReportFolder>,
+) -> anyhow::Result<Vec<Judgement>> {
     let bar = work::bar(files.len() as u64, "{bar:30} {pos}/{len} {msg}")?;
     let judged = work::on_threads(args.jobs, files.iter(), |file| {
         bar.set_message(file.clone());
-        let judgement = drive::judge(args, file);
+        let judgement = drive::judge(args, file, out)?;
         bar.inc(1);
         Ok(judgement)
     });
@@ -94,8 +124,9 @@ fn all(args: &JudgeArgs, files: &[String]) -> anyhow::Result<Vec<Judgement>> {
 fn table(judged: &[Judgement]) -> String {
     let longest = judged.iter().map(|it| it.file.len()).max().unwrap_or(0);
     let mut text = format!(
-        "{:longest$}  verdict  collision  excursion  goal  brake   jerk  remark\n",
-        "file"
+        "{:longest$}  verdict  collision  excursion  goal  brake   jerk  aside   RSS    remark\n\
+         {:longest$}                               m        m/s²   m/s³   m/s²   m\n",
+        "file", ""
     );
     for it in judged {
         let collision = match (it.collision_by_ego, it.collision) {
@@ -106,13 +137,17 @@ fn table(judged: &[Judgement]) -> String {
         // Writing to a string cannot fail.
         let _ = writeln!(
             text,
-            "{:longest$}  {:7}  {collision:9}  {:>7.2} m  {:4}  {:>5.1}  {:>5.1}  {}",
+            "{:longest$}  {:7}  {collision:9}  {:>9.2}  {:4}  {:>5.1}  {:>5.1}  {:>5.1}  {:>5}  {}",
             it.file,
             name(it.verdict),
             it.excursion_m,
             goal(it),
             it.brake_max,
             it.jerk_max,
+            it.lat_accel_max,
+            it.rss
+                .margin_m
+                .map_or("–".to_owned(), |margin| format!("{margin:.1}")),
             it.remark(),
         );
     }
@@ -123,22 +158,39 @@ fn sums(judged: &[Judgement]) -> String {
     let count = |test: &dyn Fn(&Judgement) -> bool| judged.iter().filter(|it| test(it)).count();
     let of = |verdict| count(&|it| it.verdict == verdict);
     format!(
-        "{} files: {} driven, {} stopped, {} refused; {} collisions, {} caused; {} excursions; \
-         {} of {} goals reached; outside emergencies {} braked above 4 m/s², {} jerked above \
-         10 m/s³",
+        "{} files: {} driven, {} stopped, {} refused; {} collisions, {} caused, {} avoidable by RSS; \
+         {} excursions; {} of {} goals reached; outside emergencies {} braked above 4 m/s², {} \
+         jerked above 10 m/s³; {} others forced to brake; {} files with defects of the data",
         judged.len(),
         of(Verdict::Driven),
         of(Verdict::Stopped),
         of(Verdict::Refused),
         count(&|it| it.collision),
         count(&|it| it.collision_by_ego),
+        judged.iter().map(|it| it.rss.avoidable()).sum::<usize>(),
         count(&|it| it.excursion_m > 0.0),
         count(&|it| it.goal_reached == Some(true)),
         count(&|it| it.goal_reached.is_some()),
         count(&|it| it.calm_brake_max > 4.0),
         count(&|it| it.calm_jerk_max > 10.0),
+        judged.iter().map(|it| it.forced_brakes).sum::<u32>(),
+        count(&|it| it.warnings.iter().any(|warning| warning.contains(DEFECT))),
     )
 }
+
+/// At most this many warnings are told in a line of the table.
+const WARNINGS: usize = 3;
+/// Types of lanelets that are told: no car belongs there.
+const UNUSUAL: [&str; 6] = [
+    "sidewalk",
+    "bicycleLane",
+    "busLane",
+    "busStop",
+    "shoulder",
+    "parking",
+];
+/// A warning with these words tells a defect of the file's data.
+const DEFECT: &str = "a defect of the data";
 
 fn name(verdict: Verdict) -> &'static str {
     match verdict {
@@ -157,6 +209,29 @@ fn goal(judgement: &Judgement) -> &'static str {
 }
 
 impl Judgement {
+    /// Returns a collision in words, with the defect of the other's data, if it has one.
+    fn told(&self, collision: &Collision) -> String {
+        let other = format!("obstacle {}:", collision.other);
+        let is_its = |warning: &&String| warning.contains(DEFECT) && warning.contains(&other);
+        let defect = self.warnings.iter().find(is_its);
+        defect.map_or(collision.to_string(), |defect| {
+            format!("{collision} ({defect})")
+        })
+    }
+
+    /// Returns why the drive fails the judgement; `None` if it does not.
+    fn objection(&self) -> Option<String> {
+        let mut why = Vec::new();
+        if self.collision_by_ego {
+            why.push("a collision that the vehicle caused".to_owned());
+            why.extend(self.rss.collisions.iter().map(|it| self.told(it)));
+        }
+        if self.excursion_m > 0.0 {
+            why.push(format!("outside its lanes by {:.2} m", self.excursion_m));
+        }
+        (!why.is_empty()).then(|| format!("{}: {}", self.file, why.join("; ")))
+    }
+
     /// Returns the reason, the findings and further remarks, in one line.
     fn remark(&self) -> String {
         let mut remarks = vec![];
@@ -184,9 +259,39 @@ impl Judgement {
             !self.brake_reason.is_empty(),
             format!("braked {:.1} m/s²: {}", self.brake_max, self.brake_reason),
         );
+        for collision in &self.rss.collisions {
+            remark(true, self.told(collision));
+        }
         remark(
-            !self.warnings.is_empty(),
-            format!("{} warning(s)", self.warnings.len()),
+            self.forced_brakes > 0,
+            format!(
+                "{} other(s) braked for the vehicle, up to {:.1} m/s²",
+                self.forced_brakes, self.forced_brake_max
+            ),
+        );
+        remark(
+            self.invented_m > 0.0,
+            format!(
+                "{:.0} m past the end of the map, on road that is invented: straight on",
+                self.invented_m
+            ),
+        );
+        let types = self
+            .lane_types
+            .iter()
+            .filter(|it| UNUSUAL.contains(&it.as_str()));
+        let types: Vec<&str> = types.map(String::as_str).collect();
+        remark(
+            !types.is_empty(),
+            format!("on lanelets of type {}", types.join(", ")),
+        );
+        for warning in self.warnings.iter().take(WARNINGS) {
+            remark(true, warning.clone());
+        }
+        let more = self.warnings.len().saturating_sub(WARNINGS);
+        remark(
+            more > 0,
+            format!("and {more} more warning(s), all in --json"),
         );
         remarks.join("; ")
     }
@@ -195,6 +300,7 @@ impl Judgement {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::args::OtherTraffic;
 
     /// A scenario inside the domain is driven. A scenario that starts beside the road and a broken
     /// file are refused. The JSON has the names that scripts rely on.
@@ -215,8 +321,12 @@ mod tests {
             json: None,
             html: None,
             solutions: None,
+            traffic: OtherTraffic::React,
+            out: None,
         };
-        let judged = files.iter().map(|file| drive::judge(&args, file));
+        let judged = files
+            .iter()
+            .map(|file| drive::judge(&args, file, None).unwrap());
         let judged: Vec<Judgement> = judged.collect();
         let verdicts: Vec<Verdict> = judged.iter().map(|it| it.verdict).collect();
         let refused = Verdict::Refused;

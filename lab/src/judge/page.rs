@@ -38,7 +38,8 @@ pub(super) fn page(folder: &Path, judged: &[Judgement]) -> String {
         p.sub { (sums(judged)) }
         (legend([
             ("path", Some(Color::A)),
-            ("others at the end", Some(Color::OTHER)),
+            ("vehicle at the worst moment", Some(Color::B)),
+            ("others then", Some(Color::OTHER)),
             ("first contact", Some(Color::BAD)),
         ].into_iter()))
         @for (title, test) in groups {
@@ -68,13 +69,39 @@ fn card(it: &Judgement) -> Markup {
                 (name(it.verdict)) " · goal " (goal(it))
                 @if it.verdict != Verdict::Refused {
                     (format!(" · {:.0} m in {:.0} s", it.distance_m, it.driven_s))
-                    (format!(" · brake {:.1} · jerk {:.1}", it.brake_max, it.jerk_max))
-                    (format!(" · calm {:.1}, {:.1}", it.calm_brake_max, it.calm_jerk_max))
+                    br; (it.picture.worst)
+                    table {
+                        (row("hardest braking", it.brake_max, it.calm_brake_max, "m/s²"))
+                        (row("largest jerk over 0.1 s", it.jerk_max, it.calm_jerk_max, "m/s³"))
+                        (figure("lateral acceleration, largest", it.lat_accel_max, "m/s²"))
+                        (figure("speed² / radius of the lane, largest", it.curve.lat_accel, "m/s²"))
+                        @if let Some(margin_m) = it.rss.margin_m {
+                            (figure("distance beyond the safe one (RSS), least", margin_m, "m"))
+                        }
+                        (figure("dangerously near for (RSS)", it.rss.dangerous_s, "s"))
+                        (figure("a corner outside its lanes by", it.excursion_m, "m"))
+                        (figure("others forced to brake", f64::from(it.forced_brakes), ""))
+                    }
                 }
-                @if it.excursion_m > 0.0 { (format!(" · excursion {:.2} m", it.excursion_m)) }
                 @let remark = it.remark();
                 @if !remark.is_empty() { br; (remark) }
             }
+        }
+    }
+}
+
+/// Returns a figure with its unit.
+fn figure(meaning: &str, value: f64, unit: &str) -> Markup {
+    let digits = if unit.is_empty() { 0 } else { 2 };
+    html! { tr { td { (meaning) } td.num { (format!("{value:.digits$} {unit}")) } } }
+}
+
+/// Returns a figure, and in brackets the same outside emergencies.
+fn row(meaning: &str, value: f64, calm: f64, unit: &str) -> Markup {
+    html! {
+        tr {
+            td { (meaning) " (outside emergencies)" }
+            td.num { (format!("{value:.1} ({calm:.1}) {unit}")) }
         }
     }
 }
@@ -112,6 +139,9 @@ fn picture(picture: &Picture, label: &str) -> Markup {
     }
     for corners in &picture.others {
         svg.shape(corners.iter().map(place), Color::OTHER);
+    }
+    if let Some(corners) = &picture.own {
+        svg.shape(corners.iter().map(place), Color::B);
     }
     svg.polyline(
         picture.path.iter().map(place),

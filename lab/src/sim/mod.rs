@@ -3,7 +3,7 @@
 mod coverage;
 mod merge;
 mod outcome;
-mod recording;
+pub(crate) mod recording;
 mod report;
 
 use std::num::NonZero;
@@ -37,7 +37,8 @@ const CHUNK: u64 = 100;
 #[command(after_help = EXAMPLES)]
 pub(crate) struct SimArgs {
     /// How many random sequences of faults, or how many seeds for --faults
-    #[arg(long, value_name = "N", default_value_t = 1_000)]
+    #[arg(long, value_name = "N", default_value_t = 1_000,
+          value_parser = clap::value_parser!(u64).range(1..))]
     seeds: u64,
 
     /// The first seed; each further one is the next number

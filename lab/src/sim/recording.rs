@@ -7,6 +7,7 @@ use tandem_board::Duration;
 use tandem_record::file::candump_line;
 use tandem_record::gap::Bounds;
 use tandem_record::verdict::{Beside, Limits};
+use tandem_redundancy::Config;
 use tandem_sim::{Bench, Profile};
 
 use tandem::collected::Collected;
@@ -20,10 +21,20 @@ pub(super) fn write(bench: &mut Bench, out: &ReportFolder, profile: Profile) -> 
         writeln!(candump, "{}", candump_line(&frame, 0))?;
     }
     let Profile { limits, time, .. } = profile;
+    let granted = format!("virtual time, {time:?}; the world is not recorded").to_lowercase();
+    let around = around(limits, time.allowance(), granted);
+    let collected = Collected::of(out, bench.recording(), &candump)?;
+    collected.write(out, &around)?;
+    Ok(())
+}
+
+/// Returns the surroundings of a drive in virtual time with these limits. `allowance`: how late a
+/// frame may be.
+pub(crate) fn around(limits: Config, allowance: Duration, granted: String) -> Surroundings {
     // The vehicle receives frames once a millisecond.
-    let on_bus = time.allowance() + Duration::from_ms(1);
-    let around = Surroundings {
-        granted: format!("virtual time, {time:?}; the world is not recorded").to_lowercase(),
+    let on_bus = allowance + Duration::from_ms(1);
+    Surroundings {
+        granted,
         timing: "virtual".to_owned(),
         detection_bound_ms: Some((limits.takeover_bound() + on_bus).as_ms_f64()),
         beside: Beside {
@@ -32,10 +43,7 @@ pub(super) fn write(bench: &mut Bench, out: &ReportFolder, profile: Profile) -> 
             ..Beside::default()
         },
         ..Surroundings::default()
-    };
-    let collected = Collected::of(out, bench.recording(), &candump)?;
-    collected.write(out, &around)?;
-    Ok(())
+    }
 }
 
 #[cfg(test)]
@@ -43,7 +51,6 @@ mod tests {
     use super::*;
     use tandem::output::{METRICS, REPORT, TRACE};
     use tandem_faults::Group;
-    use tandem_redundancy::Config;
 
     /// The report of a simulated takeover has the same files as that of a run of processes.
     #[test]
@@ -68,6 +75,12 @@ mod tests {
             metrics["takeovers"].as_array().map(Vec::len),
             Some(trial.changes)
         );
+        let page = String::from_utf8(read(REPORT)).unwrap();
+        assert!(
+            page.contains("fault begins: power-loss"),
+            "the injected fault is an event"
+        );
+        assert!(page.contains("everything is restored"));
         assert!(read(TRACE).len() > 100_000 && read(REPORT).len() > 10_000);
     }
 }

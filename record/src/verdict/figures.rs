@@ -213,6 +213,18 @@ pub fn of_drive(drive: &DriveFigures) -> Vec<Finding> {
     figures.chain(ends).collect()
 }
 
+/// Returns the finding on a run that did not reach its end.
+fn cut_short(log: &RunLog) -> Finding {
+    let Some(at_s) = log.launcher_died_ns.map(|at_ns| log.seconds(at_ns)) else {
+        return Finding::of(Rule::CutShort);
+    };
+    let words = format!(
+        "{}: its `tandem run` was killed at {at_s:.1} s, and the vehicle's process ended it",
+        Rule::CutShort.row().words
+    );
+    Finding::new(Rule::CutShort, [1.0, 0.0], words).at(at_s)
+}
+
 /// Returns a finding if both systems transmitted for longer than their hand-overs permit, ms.
 #[must_use]
 pub fn both_transmitted(both_ms: f64, permitted_ms: f64) -> Option<Finding> {
@@ -282,12 +294,9 @@ impl Figures {
                 .into_iter()
                 .filter_map(|(rule, it)| rule.exceeded(it)),
         );
-        let whole = [
-            (Rule::NoControl, self.control_frames > 0),
-            (Rule::CutShort, self.complete),
-        ];
-        let broken = whole.into_iter().filter(|(_, holds)| !holds);
-        findings.extend(broken.map(|(rule, _)| Finding::of(rule)));
+        let none = self.control_frames == 0;
+        findings.extend(none.then(|| Finding::of(Rule::NoControl)));
+        findings.extend((!self.complete).then(|| cut_short(log)));
         findings.extend(both_transmitted(
             self.both_transmitted_ms,
             self.hand_over_ms,

@@ -216,6 +216,7 @@ mod tests {
             system: A,
             term: 2,
             mode,
+            asks: false,
             age_ns: None,
             ruling: Ruling::Accepted,
         });

@@ -12,6 +12,8 @@
 //! Then it keeps its lane and follows by the Intelligent Driver Model, beginning with the speed,
 //! heading and time gap of that moment. It reacts to the ego and all others, slows down for curves,
 //! stops at the end of a lane, and lets in vehicles that must leave a lane that ends.
+//!
+//! With [`Traffic::as_recorded`] no vehicle leaves its recording, and each disappears at its end.
 
 mod idm;
 pub(crate) mod recording;
@@ -98,6 +100,8 @@ pub struct RoadUser {
     driver: IdmParameters,
     /// Its time gap when it left its recording, s, and the time of that moment, s.
     begun: (f64, f64),
+    /// The hardest braking for the ego so far, m/s², positive; 0 below 1.5 m/s².
+    pub(crate) braked_for_ego: f64,
 }
 
 impl RoadUser {
@@ -201,12 +205,29 @@ pub struct Traffic {
     deviating: Vec<Deviating>,
     /// Views of each vehicle, and of the ego at the end. Discarded when it moves.
     views: Vec<Views>,
+    /// No vehicle leaves its recording.
+    as_recorded: bool,
 }
 
 impl Traffic {
     /// The traffic at time 0.
     #[must_use]
     pub fn new(road: Arc<Road>, recordings: Arc<[Obstacle]>, ego: &Participant) -> Self {
+        Self::of(road, recordings, ego, false)
+    }
+
+    /// The same traffic at time 0, in which no vehicle leaves its recording.
+    pub(crate) fn as_recorded(&self, ego: &Participant) -> Self {
+        let (road, recordings) = (Arc::clone(&self.road), Arc::clone(&self.recordings));
+        Self::of(road, recordings, ego, true)
+    }
+
+    fn of(
+        road: Arc<Road>,
+        recordings: Arc<[Obstacle]>,
+        ego: &Participant,
+        as_recorded: bool,
+    ) -> Self {
         let tracks: Vec<Track> = recordings.iter().map(|it| Track::new(&it.states)).collect();
         let vehicles: Vec<RoadUser> = recordings
             .iter()
@@ -224,6 +245,7 @@ impl Traffic {
             recordings,
             tracks,
             vehicles,
+            as_recorded,
         };
         traffic.step(0.0, 0.0, ego);
         traffic
@@ -251,11 +273,15 @@ impl Traffic {
         // All decide on the present state, then all move: the order of the vehicles has no effect.
         for index in 0..self.vehicles.len() {
             if self.vehicles[index].mode == Movement::Driving {
-                let (wanted, may_return) = self.decision(index, t, ego);
+                let (wanted, may_return, is_for_ego) = self.decision(index, t, ego);
                 let vehicle = &mut self.vehicles[index];
                 vehicle.aim = if may_return { 0.0 } else { vehicle.place.d };
                 let change = wanted - vehicle.participant.acceleration;
                 vehicle.participant.acceleration += change.clamp(-JERK.1 * dt, JERK.0 * dt);
+                let braking = -vehicle.participant.acceleration;
+                if is_for_ego && braking > REPLAY_BRAKES && vehicle.participant.speed > 0.0 {
+                    vehicle.braked_for_ego = vehicle.braked_for_ego.max(braking);
+                }
             }
         }
         let all = self.vehicles.iter_mut().zip(&mut self.views);
@@ -291,11 +317,16 @@ impl Traffic {
         let mode = self.vehicles[index].mode;
         match mode {
             Movement::Absent => self.appear_if_due(index, t),
+            Movement::Replay if t > end && self.as_recorded => {
+                self.vehicles[index].mode = Movement::Absent;
+            }
             Movement::Replay if t > end => match self.vehicles[index].class {
                 Class::Pedestrian | Class::Static => self.stand(index),
                 _ => self.drive_on(index, t, ego),
             },
-            Movement::Replay if self.endangers(index, t) => self.drive_on(index, t, ego),
+            Movement::Replay if !self.as_recorded && self.endangers(index, t) => {
+                self.drive_on(index, t, ego)
+            }
             _ => {}
         }
     }
@@ -313,7 +344,8 @@ impl Traffic {
         replay(&mut self.vehicles[index], views, track, &self.road, t);
         let own = self.vehicles[index].participant;
         let claimed = own.footprint.grown(2.0 * own.speed.max(2.0), 0.5);
-        let is_free = |other: &Deviating| !claimed.overlaps(&other.participant.footprint);
+        let is_free =
+            |other: &Deviating| self.as_recorded || !claimed.overlaps(&other.participant.footprint);
         if recording.is_static {
             self.stand(index);
         } else if t <= 0.0 || self.deviating.iter().all(is_free) {
@@ -416,8 +448,9 @@ impl Traffic {
         self.deviating.insert(place, own);
     }
 
-    /// Returns the acceleration that the driver wants, and whether the lane's middle is free.
-    fn decision(&mut self, index: usize, t: f64, ego: &Participant) -> (f64, bool) {
+    /// Returns the acceleration that the driver wants, whether the lane's middle is free, and
+    /// whether that acceleration is for the ego.
+    fn decision(&mut self, index: usize, t: f64, ego: &Participant) -> (f64, bool, bool) {
         let vehicle = &self.vehicles[index];
         let speed = vehicle.participant.speed;
         let lane = self.road.lane(vehicle.lane);
@@ -439,6 +472,7 @@ impl Traffic {
         let mut leader = self.end_of_lane(vehicle);
         let mut courtesy = f64::INFINITY;
         let mut may_return = true;
+        let mut is_for_ego = false;
         let ending = viewer.ending_beside();
         let passes = ending == [None; 2];
         others(&self.vehicles, &mut self.views, index, ego).for_each(|(other, views)| {
@@ -449,6 +483,7 @@ impl Traffic {
                 && ahead.gap < leader.gap
             {
                 leader = ahead;
+                is_for_ego = std::ptr::eq(other, ego);
             }
             let merging = { ending.iter().flatten() }
                 .find_map(|lane| sight::merging(&self.road, vehicle, *lane, other, &seen));
@@ -459,7 +494,7 @@ impl Traffic {
         });
         let in_the_middle = vehicle.place.d.abs() < 0.2;
         let wanted = driver.follow(speed, &leader).min(courtesy);
-        (wanted, in_the_middle || may_return)
+        (wanted, in_the_middle || may_return, is_for_ego)
     }
 
     fn leader(&mut self, index: usize, ego: &Participant) -> Leader {
@@ -552,6 +587,7 @@ fn vehicle(road: &Road, recording: &Obstacle, track: &Track) -> RoadUser {
             ..driver
         },
         begun: (driver.time_gap, 0.0),
+        braked_for_ego: 0.0,
     }
 }
 

@@ -146,6 +146,43 @@ fn hermite(a: &Knot, b: &Knot, share: f64, span: f64) -> Vec2 {
         + (b.tangent * span) * (t3 - t2)
 }
 
+/// The place of a recorded vehicle must move with its speed, within this difference, m/s, and this
+/// part of it.
+const MOVES_OTHERWISE: (f64, f64) = (5.0, 0.5);
+/// No road user changes its speed faster than this, m/s².
+const IMPOSSIBLE: f64 = 15.0;
+
+/// Returns the first defect of a recording, in words: between two states the place does not move as
+/// the speeds say, or the speed changes as no vehicle can. `None` if there is none, or if the
+/// states have no speed.
+pub(crate) fn defect(states: &[TimedState]) -> Option<String> {
+    states.windows(2).find_map(|pair| {
+        let [from, to] = pair else { return None };
+        let span = to.t - from.t;
+        let (before, after) = (from.speed?, to.speed?);
+        if span <= 0.0 {
+            return None;
+        }
+        let moved = (to.position - from.position).norm() / span;
+        let said = (before.abs() + after.abs()) / 2.0;
+        let apart = (moved - said).abs();
+        let when = format!("from {:.2} s to {:.2} s", from.t, to.t);
+        if apart > MOVES_OTHERWISE.0 && apart > MOVES_OTHERWISE.1 * said.max(moved) {
+            let how = if moved < 0.1 { "stands" } else { "moves" };
+            let moved = if moved < 0.1 {
+                String::new()
+            } else {
+                format!(" {moved:.1} m/s")
+            };
+            return Some(format!(
+                "its place {how}{moved} {when} at a speed of {said:.1} m/s"
+            ));
+        }
+        let change = (after - before) / span;
+        (change.abs() > IMPOSSIBLE).then(|| format!("its speed changes by {change:.0} m/s² {when}"))
+    })
+}
+
 /// Returns the velocity from the states before and after.
 fn tangent(states: &[TimedState], index: usize) -> Vec2 {
     let before = &states[index.saturating_sub(1)];
@@ -186,6 +223,36 @@ mod tests {
             .map(|s| TimedState { speed: None, ..*s })
             .collect();
         assert!((Track::new(&unknown).motion(1.0).speed - 12.0).abs() < 1e-9);
+    }
+
+    /// The place of a leader stands for one step of 0.2 s, although its speed is 21 m/s: the defect
+    /// of a public file. A vehicle that brakes hard has none.
+    #[test]
+    fn a_recording_that_contradicts_itself_is_named() {
+        let state = |t: f64, x: f64, speed: f64| TimedState {
+            t,
+            position: Vec2::new(x, 0.0),
+            yaw: 0.0,
+            speed: Some(speed),
+        };
+        let stands = [
+            state(0.0, 9.0, 21.4),
+            state(0.2, 9.0, 21.4),
+            state(0.4, 13.3, 21.4),
+        ];
+        let said = defect(&stands).unwrap();
+        assert_eq!(
+            said,
+            "its place stands from 0.00 s to 0.20 s at a speed of 21.4 m/s"
+        );
+        assert_eq!(defect(&stands[1..]), None);
+        let jumps = [state(0.0, 0.0, 20.0), state(0.2, 3.4, 14.0)];
+        assert_eq!(
+            defect(&jumps).unwrap(),
+            "its speed changes by -30 m/s² from 0.00 s to 0.20 s"
+        );
+        let brakes = [state(0.0, 0.0, 20.0), state(0.2, 3.84, 18.4)];
+        assert_eq!(defect(&brakes), None);
     }
 
     /// With states at uneven times, the last state before a time is found, and the vehicle stays

@@ -11,8 +11,7 @@ pub use ends::{SampleNumber, ServiceError, ServicePayload, ServicePublisher, Ser
 use iceoryx2::prelude::ZeroCopySend;
 use tandem_shm::topic::Subscribe;
 
-use tandem_board_host::RunName;
-use tandem_board_host::process_list;
+use tandem_board_host::{RunName, Wire, process_list};
 
 /// Capacities of [`Event::text`] and of a CAN FD frame's data, in bytes.
 const TEXT_BYTES: usize = 112;
@@ -46,8 +45,11 @@ pub struct Roles {
     pub alive: [u8; 6],
     /// For A and B: whether its heartbeats arrive at the other system, one bit for each line.
     pub beats: [u8; 2],
+    /// For A and B: which of its wires are cut, one bit for each: start, heartbeat-1, heartbeat-2,
+    /// time, level, link, can.
+    pub cuts: [u8; 2],
     /// Unused.
-    pub reserved: [u8; 5],
+    pub reserved: [u8; 3],
 }
 
 /// The controlled vehicle; service `tandem/RUN/vehicle`, every 20 ms of scenario time.
@@ -163,7 +165,8 @@ pub struct Event {
     pub at_ns: u64,
     /// 0 = A, 1 = B.
     pub system: u8,
-    /// The core; 255 = the supply.
+    /// The core; 255 = the supply; 254 = the vehicle, about this system: what it obeys, and what
+    /// was done to the system from outside.
     pub core: u8,
     /// Number of bytes of the text.
     pub length: u8,
@@ -190,7 +193,33 @@ impl Frame {
     }
 }
 
+impl Roles {
+    /// Returns the names of the wires that start at this system and are cut now; 0 = A, 1 = B.
+    ///
+    /// # Panics
+    /// If there is no such system.
+    pub fn cut_wires(&self, system: usize) -> impl Iterator<Item = &'static str> {
+        let cuts = self.cuts[system];
+        let all = Wire::ALL.into_iter().enumerate();
+        let cut = all.filter(move |(bit, _)| cuts >> bit & 1 == 1);
+        cut.map(|(_, wire)| wire.name())
+    }
+}
+
 impl Event {
+    /// The value of [`Event::core`] for an event of the vehicle.
+    pub const VEHICLE: u8 = 254;
+
+    /// Returns the part of the system that the event is of, in words.
+    #[must_use]
+    pub fn part(&self) -> String {
+        match self.core {
+            u8::MAX => "supply".to_owned(),
+            Self::VEHICLE => "outside".to_owned(),
+            core => format!("core {core}"),
+        }
+    }
+
     /// Makes an event with the first 112 bytes of this text.
     #[must_use]
     pub fn new(at_ns: u64, system: u8, core: u8, text: &str) -> Self {

@@ -73,6 +73,8 @@ pub(super) enum System {
     StaggerUs,
     PowerRequest,
     Faults,
+    /// What was done to the system from outside, one bit for each `Deed`.
+    Deeds,
     ResetRequest = LINE as isize,
     Lamp,
     Released,
@@ -84,6 +86,28 @@ pub(super) enum System {
     /// The same for core 1.
     DeafTo1,
     LateMs,
+}
+
+/// What is done to a system from outside and leaves no trace in other registers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Deed {
+    PowerOff,
+    PowerOn,
+    Reset,
+    Hang,
+    Scribble,
+    StrayEdge,
+}
+
+impl Deed {
+    pub(super) const ALL: [Self; 6] = [
+        Self::PowerOff,
+        Self::PowerOn,
+        Self::Reset,
+        Self::Hang,
+        Self::Scribble,
+        Self::StrayEdge,
+    ];
 }
 
 /// Registers of a core, grouped by writer: supply, then the core, then the vehicle.

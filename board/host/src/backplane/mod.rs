@@ -23,10 +23,10 @@ use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
 use crate::trace_ring::TraceRing;
 use layout::{Core, Run, System, WORDS};
-pub(crate) use layout::{RINGS, Ring, TRANSMIT_WORDS, Transmit, supply_trace_ring};
+pub(crate) use layout::{Deed, RINGS, Ring, TRANSMIT_WORDS, Transmit, supply_trace_ring};
 
 /// "TDM" and the version of the layout, so that processes of different builds reject each other.
-const MAGIC: u32 = 0x5444_4D06;
+const MAGIC: u32 = 0x5444_4D07;
 const NAME: &str = "backplane";
 /// The longest delay of a disturbed connection, equal to the limit of `Kind::Late`. A
 /// corrupt word in the shared memory must not cause a longer delay, because delayed frames
@@ -351,6 +351,23 @@ impl Backplane {
     pub fn set_fault(self, of: SystemId, fault: HardwareFault, present: bool) {
         self.system(of, System::Faults)
             .change_bits(HardwareFaults::bit(fault), present);
+    }
+
+    /// Notes what is done to a system, for the recording.
+    pub(crate) fn note(self, of: SystemId, deed: Deed) {
+        self.system(of, System::Deeds)
+            .change_bits(1 << deed as u32, true);
+    }
+
+    /// Returns what was noted since the last call. Vehicle only.
+    pub(crate) fn take_noted(self, of: SystemId) -> impl Iterator<Item = Deed> {
+        let register = self.system(of, System::Deeds);
+        let noted = match register.get() {
+            0 => 0,
+            _ => register.replace(0),
+        };
+        let deeds = Deed::ALL.into_iter();
+        deeds.filter(move |deed| noted >> *deed as u32 & 1 == 1)
     }
 
     /// Returns the hardware faults of a system.

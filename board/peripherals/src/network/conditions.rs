@@ -29,6 +29,20 @@ impl Wire {
         Self::Link,
         Self::Can,
     ];
+
+    /// Returns its name, as commands and fault files write it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Line(Line::Start) => "start",
+            Self::Line(Line::Heartbeat1) => "heartbeat-1",
+            Self::Line(Line::Heartbeat2) => "heartbeat-2",
+            Self::Line(Line::Time) => "time",
+            Self::Level => "level",
+            Self::Link => "link",
+            Self::Can => "can",
+        }
+    }
 }
 
 /// The cut wires as a register, one bit for each wire of each system.
@@ -52,6 +66,13 @@ impl Cuts {
     #[must_use]
     pub const fn is_cut(self, wire: Wire, from: SystemId) -> bool {
         self.0 & Self::bit(wire, from) != 0
+    }
+
+    /// Returns the cut wires that start at this system, one bit for each, in the order of
+    /// [`Wire::ALL`].
+    #[must_use]
+    pub const fn of(self, from: SystemId) -> u8 {
+        (self.0 >> (8 * from.index())) as u8
     }
 
     /// Cuts a wire, or restores it.
