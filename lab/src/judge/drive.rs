@@ -1,6 +1,7 @@
 //! One scenario, driven by both systems in virtual time.
 
 use std::cell::RefCell;
+use std::path::Path;
 use std::rc::Rc;
 
 use serde::Serialize;
@@ -12,7 +13,7 @@ use tandem_record::verdict::{Finding, Rule};
 use tandem_sim::drive::poller;
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road, RoadLane};
-use tandem_vehicle::{Scenario, World, WorldMetrics};
+use tandem_vehicle::{Scenario, ScenarioError, World, WorldMetrics};
 
 use super::solution::Track;
 use crate::args::JudgeArgs;
@@ -109,8 +110,17 @@ pub(crate) struct Picture {
 
 /// Drives the file of the folder, and judges the drive.
 pub(crate) fn judge(args: &JudgeArgs, file: &str) -> Judgement {
-    let path = args.folder.join(file);
-    let scenario = match Scenario::read(&path) {
+    let scenario = args.folder.as_deref().unwrap_or(Path::new("")).join(file);
+    judge_scenario(args, file, Scenario::read(&scenario))
+}
+
+/// Drives this scenario, and judges the drive; a scenario that could not be read is refused.
+pub(super) fn judge_scenario(
+    args: &JudgeArgs,
+    file: &str,
+    scenario: Result<Scenario, ScenarioError>,
+) -> Judgement {
+    let scenario = match scenario {
         Ok(scenario) => scenario,
         Err(error) => return refused(file, error.to_string()),
     };

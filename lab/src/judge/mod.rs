@@ -3,6 +3,7 @@
 mod drive;
 mod page;
 mod solution;
+mod variants;
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -11,6 +12,7 @@ use anyhow::{Context as _, bail};
 use drive::{Judgement, Verdict};
 use tandem_page::output::{OutputFile, OutputFolder};
 use tandem_record::verdict::Rule;
+use tandem_vehicle::Scenario;
 
 use crate::args::JudgeArgs;
 use crate::work;
@@ -22,16 +24,29 @@ use tandem::failure::Failure;
 /// If the folder cannot be read or has no scenario, a result cannot be written, or the ego caused
 /// a collision.
 pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
-    let files = scenarios(&args.folder).map_err(Failure::Usage)?;
+    let folder = args.folder.as_deref();
+    if let Some(count) = args.variants {
+        let made = variants::variants(count.get(), args.seed);
+        return match folder {
+            Some(folder) => {
+                let place = OutputFolder::check("DIR", folder).map_err(Failure::usage)?;
+                let file = |it: variants::Variant| (format!("{}.xml", it.name), it.text);
+                Ok(place.fill(&made.into_iter().map(file).collect::<Vec<_>>())?)
+            }
+            None => judge_variants(args, made),
+        };
+    }
+    let folder = folder.unwrap_or(Path::new(""));
+    let files = scenarios(folder).map_err(Failure::Usage)?;
     let places = [
         ("--json", args.json.as_deref()),
         ("--html", args.html.as_deref()),
     ];
     let places = OutputFile::check_all(places);
     let [json_to, html_to] = places.map_err(Failure::usage)?;
-    let folder = args.solutions.as_deref();
-    let folder = folder.map(|folder| OutputFolder::check("--solutions", folder));
-    let solutions_to = folder.transpose().map_err(Failure::usage)?;
+    let solutions = args.solutions.as_deref();
+    let solutions = solutions.map(|folder| OutputFolder::check("--solutions", folder));
+    let solutions_to = solutions.transpose().map_err(Failure::usage)?;
     let judged = all(args, &files)?;
     if !json_to.as_ref().is_some_and(OutputFile::is_stdout) {
         tandem::print(&table(&judged))?;
@@ -40,7 +55,7 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
         place.write(&(serde_json::to_string_pretty(&judged)? + "\n"))?;
     }
     if let Some(place) = html_to {
-        place.write(&page::page(&args.folder, &judged))?;
+        place.write(&page::page(folder, &judged))?;
     }
     if let Some(place) = solutions_to {
         let solved = judged.iter().filter_map(|it| {
@@ -58,6 +73,42 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
         Ok(())
     } else {
         Err(Failure::Objections(caused))
+    }
+}
+
+/// Judges made scenarios, and prints a table of their classes.
+///
+/// # Errors
+/// If a result cannot be written, or a drive breaks a bound.
+fn judge_variants(args: &JudgeArgs, made: Vec<variants::Variant>) -> Result<(), Failure> {
+    let [json_to] =
+        OutputFile::check_all([("--json", args.json.as_deref())]).map_err(Failure::usage)?;
+    let bar = work::bar(made.len() as u64, "{bar:30} {pos}/{len} {msg}")?;
+    let judged = work::on_threads(args.jobs, made.into_iter(), |it| {
+        bar.set_message(it.name.clone());
+        let scenario = Scenario::parse(&it.text, &it.name);
+        let judgement = drive::judge_scenario(args, &it.name, scenario);
+        bar.inc(1);
+        Ok((it.class, judgement))
+    });
+    bar.finish_and_clear();
+    let judged = judged?;
+    if !json_to.as_ref().is_some_and(OutputFile::is_stdout) {
+        tandem::print(&variants::table(&judged))?;
+    }
+    if let Some(place) = json_to {
+        let judged: Vec<&Judgement> = judged.iter().map(|it| &it.1).collect();
+        place.write(&(serde_json::to_string_pretty(&judged)? + "\n"))?;
+    }
+    let broken = judged.iter().filter_map(|(class, it)| {
+        let found = variants::violations(*class, it);
+        (!found.is_empty()).then(|| format!("{}: {}", it.file, found.join(", ")))
+    });
+    let broken: Vec<String> = broken.collect();
+    if broken.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::Objections(broken))
     }
 }
 
@@ -208,7 +259,8 @@ mod tests {
         }
         let files = scenarios(folder.path()).unwrap();
         let args = JudgeArgs {
-            folder: folder.path().to_owned(),
+            folder: Some(folder.path().to_owned()),
+            variants: None,
             duration: 1.0,
             seed: 1,
             jobs: None,
