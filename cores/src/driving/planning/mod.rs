@@ -46,12 +46,16 @@ const DRAW: f32 = 0.04;
 /// plans of two systems that have begun differently become the same bits.
 const GRID: [f32; 5] = [1e-4, 1e-5, 1e-7, 1e-4, 1e-4];
 /// Lateral acceleration in curves, m/s².
-const CURVE_ACCELERATION: f32 = 2.2;
+const CURVE_ACCELERATION: f32 = 2.0;
+/// Braking before a bend, m/s², and how much earlier it begins, s: plans reach a speed later than
+/// they aim at it.
+const CURVE_BRAKING: f32 = 1.3;
+const CURVE_DELAY_S: f32 = 1.0;
 /// A view of at least this range counts as full, m: it needs no limit of speed.
 const FULL_VIEW_M: f32 = 78.0;
 /// The vehicle must be able to slow down to this speed, m/s, with this braking, m/s², at this
 /// distance before the end of the view, m.
-const UNSEEN_BEND_SPEED: f32 = 7.0;
+const UNSEEN_BEND_SPEED: f32 = 6.3;
 const UNSEEN_BRAKING: f32 = 1.5;
 const UNSEEN_MARGIN_M: f32 = 4.0;
 /// Distance kept to the end of a lane: room to steer into the next one, m.
@@ -394,8 +398,8 @@ fn desired_speed(scene: &Scene, frame: &FrenetFrame, s: f32) -> f32 {
         return 0.0;
     };
     let set = scene.set_speed.unwrap_or(max(scene.ego.speed, 0.0));
-    let curvature = frame.max_curvature(s, s + 15.0 + 3.0 * max(scene.ego.speed, 0.0));
-    let curve = sqrt(CURVE_ACCELERATION / max(curvature, 1e-5));
+    let near = CURVE_DELAY_S * max(scene.ego.speed, 0.0);
+    let curve = frame.bend_speed(s, near, CURVE_ACCELERATION, CURVE_BRAKING);
     let known = min(min(set, lanes.speed_limit), curve);
     max(min(known, unseen_speed(lanes.view_range)), 0.0)
 }
