@@ -20,6 +20,10 @@ const RANGES: [f64; 10] = [
 const RESIDUAL: f64 = 0.15;
 /// Distance from which an end of a lane is seen, m: signs and markings announce it.
 const END_IN_SIGHT: f64 = 300.0;
+/// From a longer range than the first, m, the cubic has the lane's curvature at the vehicle, with an
+/// error below the second, 1/m: a bend that begins far ahead does not bend the line here.
+const RANGE_OF_BENDS: f64 = 20.0;
+const RESIDUAL_BEND: f64 = 8e-4;
 /// A bend has a sign with the speed of this lateral acceleration, m/s², to which a vehicle slows
 /// down with this braking, m/s², until this distance before it, m.
 const BEND_ACCELERATION: f64 = 2.2;
@@ -143,9 +147,11 @@ fn signed_speed(lane: &RoadLane, s: f64, limit: f64) -> f32 {
 /// Returns the cubic over the longest range in which it follows the lane, and that range, m.
 fn farthest_fit(ego: &EgoTruth, road: &Road) -> ([f64; 4], f64) {
     let last = RANGES[RANGES.len() - 1];
+    let bend = road.lane(ego.lane).curvature_at(ego.place.s);
     let follows = |range: f64| {
         let (c, residual) = fit(ego, road, range);
-        (residual < RESIDUAL || range <= last).then_some((c, range))
+        let is_near = (2.0 * c[2] - bend).abs() < RESIDUAL_BEND || range <= RANGE_OF_BENDS;
+        (residual < RESIDUAL && is_near || range <= last).then_some((c, range))
     };
     RANGES.into_iter().find_map(follows).unwrap_or_default()
 }
