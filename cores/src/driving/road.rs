@@ -235,21 +235,28 @@ impl FrenetFrame {
     }
 
     /// Returns the speed, m/s, from which `braking`, m/s², leads to a lateral acceleration of at
-    /// most `lateral`, m/s², in each bend within the view; by samples every 4 m from arc length
-    /// `from` on, of which the first `near` metres are driven before the vehicle brakes.
-    pub(crate) fn bend_speed(&self, from: f32, near: f32, lateral: f32, braking: f32) -> f32 {
-        let mut square = f32::INFINITY;
+    /// most `lateral`, m/s², in each bend within the view, and the speed in the bend that limits it
+    /// most; by samples every 4 m from arc length `from` on, of which the first `near` metres are
+    /// driven before the vehicle brakes.
+    pub(crate) fn bend_speed(
+        &self,
+        from: f32,
+        near: f32,
+        lateral: f32,
+        braking: f32,
+    ) -> (f32, f32) {
+        let (mut square, mut least) = (f32::INFINITY, f32::INFINITY);
         let (mut ahead, mut x) = (0.0, self.x_of(from));
         while x <= self.line.end {
-            let bend = max(abs(self.line.curvature(x)), 1e-5);
-            square = min(
-                square,
-                lateral / bend + 2.0 * braking * max(ahead - near, 0.0),
-            );
+            let in_it = lateral / max(abs(self.line.curvature(x)), 1e-5);
+            let before = in_it + 2.0 * braking * max(ahead - near, 0.0);
+            if before < square {
+                (square, least) = (before, in_it);
+            }
             ahead += BEND_STEP_M;
             x = self.x_of(from + ahead);
         }
-        sqrt(square)
+        (sqrt(square), sqrt(least))
     }
 }
 
@@ -307,13 +314,13 @@ mod tests {
             "{}",
             reference.curvature
         );
-        let speed = |near| frame.bend_speed(0.0, near, 2.0, 1.5);
+        let speed = |near| frame.bend_speed(0.0, near, 2.0, 1.5).0;
         assert!((speed(0.0) - 14.1).abs() < 0.1, "{}", speed(0.0));
         let straight_before = FrenetFrame::new(CentreLine {
             c: [0.0, 0.0, -0.004, 1e-4],
             end: 80.0,
         });
-        let speed = |near| straight_before.bend_speed(0.0, near, 2.0, 1.5);
+        let speed = |near| straight_before.bend_speed(0.0, near, 2.0, 1.5).0;
         assert!(
             speed(0.0) > speed(20.0) + 1.0,
             "{} {}",

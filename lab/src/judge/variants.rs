@@ -133,15 +133,18 @@ fn wrong_way(file: &mut File, draw: &mut Drawn) -> String {
 }
 
 fn crossing_stops(file: &mut File, draw: &mut Drawn) -> String {
-    let (own, across) = (draw.of(&[8.0, 11.0, 14.0, 20.0]), draw.of(&[2.0, 3.5, 5.0]));
-    let share = draw.between(1.0, 2.0);
+    let (own, across) = (
+        draw.of(&[8.0, 11.0, 14.0, 20.0]),
+        draw.of(&[1.2, 2.0, 3.5, 5.0]),
+    );
+    let share = draw.between(1.0, 2.5);
     let side = draw.of(&[1.0, -1.0]);
     let stops = draw.of(&[-0.8, 0.0, 0.8]);
     let path = road(&[(500.0, 0.0)]);
     file.lanes(&path, 1, 400.0);
     file.start(own, own);
     // It enters the lane when the ego is this far away.
-    let begins = draw.of(&[1.0, 2.5]);
+    let begins = draw.of(&[1.0, 2.5, 4.0]);
     let place = 6.0 + begins * own + share * stop_m(own);
     let way = side * WIDTH_M / 2.0 - stops;
     let waits = side * across * begins;
@@ -155,10 +158,15 @@ fn crossing_stops(file: &mut File, draw: &mut Drawn) -> String {
 
 fn leader_stands(file: &mut File, draw: &mut Drawn) -> String {
     let speed = draw.of(&[8.0, 14.0, 20.0, 25.0, 30.0]);
-    let share = draw.between(1.0, 1.5);
-    let after = draw.of(&[3.0, 6.0, 9.0]);
-    let path = road(&[(900.0, 0.0)]);
-    file.lanes(&path, 1, 800.0);
+    // Nearer than it can stop at the start, it has time to fall back.
+    let share = draw.between(0.6, 1.5);
+    let after = if share < 1.0 {
+        14.0
+    } else {
+        draw.of(&[3.0, 6.0, 9.0])
+    };
+    let path = road(&[(1_200.0, 0.0)]);
+    file.lanes(&path, 1, 1_100.0);
     file.start(speed, speed);
     let gap = 4.5 + 3.0 + share * stop_m(speed);
     let track = Track::new(gap, 0.0, speed).held(after).stopped();

@@ -50,7 +50,7 @@ const CURVE_ACCELERATION: f32 = 2.0;
 /// Braking before a bend, m/s², and how much earlier it begins, s: plans reach a speed later than
 /// they aim at it.
 const CURVE_BRAKING: f32 = 1.3;
-const CURVE_DELAY_S: f32 = 1.0;
+const CURVE_DELAY_S: f32 = 0.6;
 /// A view of at least this range counts as full, m: it needs no limit of speed.
 const FULL_VIEW_M: f32 = 78.0;
 /// The vehicle must be able to slow down to this speed, m/s, with this braking, m/s², at this
@@ -66,13 +66,21 @@ const END_LEAST_M: f32 = 1.0;
 /// time, s, and the vehicle brakes for it with this deceleration, m/s².
 const SEEKING_S: f32 = 2.0;
 const SEEKING_BRAKING: f32 = 2.8;
+/// When a stop before the end needs this braking, m/s², the end counts in all steps.
+const SEEKING_UNTIL: f32 = 2.0;
 /// The body stays this far from the lane's border if the driver asks for a place off centre, m.
 const BORDER_M: f32 = 0.2;
 /// Lateral room that counts as free, m.
 const SIDE_MARGIN_M: f32 = 0.35;
 /// A road user that comes towards the vehicle is expected to return to its own lane if they would
-/// meet later than this, s.
+/// meet later than this, s. One that is wholly in the vehicle's lane counts as soon as the vehicle
+/// has to brake for it: with this braking, m/s², and this much before, s.
 const MEETING_S: f32 = 2.5;
+const MEETING_BRAKING: f32 = 3.5;
+const MEETING_DELAY_S: f32 = 1.5;
+/// Its centre is then within this share of the lane's width from the middle: within the view, and
+/// up to twice as far.
+const WHOLLY: (f32, f32) = (0.3, 0.2);
 /// A road user that crosses ahead or comes towards the vehicle has been passed when it is this far
 /// behind, m.
 const PASSED_M: f32 = 1.0;
@@ -227,7 +235,8 @@ impl Planner {
             second: start.acceleration * along,
             third: 0.0,
         };
-        let desired_speed = desired_speed(scene, &view.frame, s);
+        let desired = desired_speeds(scene, &view.frame, s);
+        let desired_speed = desired[0];
 
         let goal = match &view.lanes {
             Some(lanes) => {
@@ -262,6 +271,7 @@ impl Planner {
         };
         let along = |goal: &Goal, path: &Path, before: Option<&Profile>| {
             let mut corridor = Corridor::free(desired_speed);
+            corridor.desired = desired;
             corridor.near_gap = scene.near_gap;
             choose_profile(&view, (&station, &first), path, goal, before, corridor)
         };
@@ -391,17 +401,21 @@ impl Planner {
     }
 }
 
-/// Returns the speed that driver, signs and curves allow, m/s. Without lanes it is 0; without a
-/// request of the driver, the present speed counts as requested.
-fn desired_speed(scene: &Scene, frame: &FrenetFrame, s: f32) -> f32 {
+/// Returns the speed that driver, signs and curves allow, now and at each step, m/s: before a bend
+/// it falls as the bend comes nearer. Without lanes it is 0; without a request of the driver, the
+/// present speed counts as requested.
+fn desired_speeds(scene: &Scene, frame: &FrenetFrame, s: f32) -> [f32; STEPS] {
     let Some(lanes) = &scene.lanes else {
-        return 0.0;
+        return [0.0; STEPS];
     };
     let set = scene.set_speed.unwrap_or(max(scene.ego.speed, 0.0));
     let near = CURVE_DELAY_S * max(scene.ego.speed, 0.0);
-    let curve = frame.bend_speed(s, near, CURVE_ACCELERATION, CURVE_BRAKING);
-    let known = min(min(set, lanes.speed_limit), curve);
-    max(min(known, unseen_speed(lanes.view_range)), 0.0)
+    let (curve, in_curve) = frame.bend_speed(s, near, CURVE_ACCELERATION, CURVE_BRAKING);
+    let known = min(min(set, lanes.speed_limit), unseen_speed(lanes.view_range));
+    core::array::from_fn(|step| {
+        let falls = CURVE_BRAKING * step as f32 * STEP_S;
+        max(min(known, max(curve - falls, min(in_curve, curve))), 0.0)
+    })
 }
 
 /// Returns the speed that is safe for the unseen road, m/s: if the camera sees only part of its
@@ -458,6 +472,10 @@ fn choose_profile(
         path.at(station.s + way).value
     };
     corridor.seeks = goal.sought.is_some();
+    // A gap is sought as long as the vehicle can still stop gently.
+    let room = goal.end - station.s - END_MARGIN_M - 0.5 * LENGTH_M;
+    let seeks =
+        goal.sought.is_some() && start.first * start.first < 2.0 * SEEKING_UNTIL * max(room, 0.0);
     if goal.sought.is_some() {
         corridor.end_braking = SEEKING_BRAKING;
     }
@@ -469,7 +487,7 @@ fn choose_profile(
         let in_goal_lane = abs(aside - goal.offset) < half;
         let end = if in_goal_lane { goal.end } else { own_end };
         // While a gap is sought, the end of the lane counts only in the first steps.
-        if end < f32::INFINITY && (goal.sought.is_none() || t < SEEKING_S) {
+        if end < f32::INFINITY && (!seeks || t < SEEKING_S) {
             corridor.stop[step] = stop_before(end - station.s, start.first);
             corridor.end[step] = end - station.s - END_LEAST_M - 0.5 * LENGTH_M;
         }
@@ -485,8 +503,17 @@ fn choose_profile(
     // An oncoming road user counts only if it is within the view and near.
     let seen = view.lanes.map_or(0.0, |lanes| lanes.view_range);
     let is_early = |object: &Predicted| {
-        let closing = start.first - object.speed;
-        object.is_oncoming() && (object.s > seen || object.s - station.s > MEETING_S * closing)
+        let share = if object.s < seen { WHOLLY.0 } else { WHOLLY.1 };
+        let is_against = abs(object.d) < share * 2.0 * half && object.s < 2.0 * seen;
+        let stops_s = start.first / MEETING_BRAKING + MEETING_DELAY_S;
+        let from_s = if is_against {
+            max(stops_s, MEETING_S)
+        } else {
+            MEETING_S
+        };
+        let away = object.s - station.s;
+        let is_seen = is_against || object.s <= seen;
+        object.is_oncoming() && (!is_seen || away > from_s * (start.first - object.speed))
     };
     let concerns = |object: &&Predicted| {
         object.s > station.s && !(object.s > own_end && object.speed < 1.0) && !is_early(object)
@@ -497,10 +524,15 @@ fn choose_profile(
         let is_beside = object.s - station.s < object.half_length + 0.5 * LENGTH_M
             && abs(object.d - station.offset.value) > object.half_width + 0.5 * WIDTH_M;
         let reach = object.half_width + 0.5 * WIDTH_M + SIDE_MARGIN_M;
+        // One that crosses may stop in the lane.
+        let mut stands: Option<f32> = None;
         for (step, aside) in aside.iter().enumerate() {
             let t = (step + 1) as f32 * STEP_S;
             let is_aside = abs(object.across(t) - aside) >= reach;
             if is_aside && !is_sought {
+                if let Some(bound) = stands {
+                    corridor.limit(step, bound, 0.0);
+                }
                 continue;
             }
             let (s, speed) = object.along(t);
@@ -510,6 +542,9 @@ fn choose_profile(
             let is_in_the_way = !is_aside && !passed;
             if is_in_the_way && !is_beside {
                 corridor.limit(step, bound, speed);
+                if object.crosses() {
+                    stands = stands.or(Some(bound));
+                }
             } else if is_sought || is_in_the_way {
                 corridor.seek(step, bound, speed);
             }
