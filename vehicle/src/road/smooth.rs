@@ -6,8 +6,8 @@ use crate::geometry::Vec2;
 /// than 0.7 m/s² of lateral acceleration at 30 m/s; a curve with 60 m radius moves by 6 cm.
 const SIGMA: f64 = 15.0;
 /// The same where that kernel would leave the mapped line, m: it moves a bend of 20 m radius by
-/// 2 cm.
-const SIGMA_IN_BENDS: f64 = 5.0;
+/// 12 cm.
+const SIGMA_IN_BENDS: f64 = 8.0;
 /// The narrow kernel's share begins where the wide one moves the line by the first of these, and is
 /// whole from the second on, m.
 const LEAVES: (f64, f64) = (0.25, 0.5);

@@ -24,6 +24,8 @@ const END_IN_SIGHT: f64 = 300.0;
 /// error below the second, 1/m: a bend that begins far ahead does not bend the line here.
 const RANGE_OF_BENDS: f64 = 20.0;
 const RESIDUAL_BEND: f64 = 8e-4;
+/// That is so where the lane bends more than this within the view, 1/m.
+const BENDS: f64 = 0.003;
 /// A bend has a sign with the speed of this lateral acceleration, m/s², to which a vehicle slows
 /// down with this braking, m/s², until this distance before it, m.
 const BEND_ACCELERATION: f64 = 2.2;
@@ -147,10 +149,15 @@ fn signed_speed(lane: &RoadLane, s: f64, limit: f64) -> f32 {
 /// Returns the cubic over the longest range in which it follows the lane, and that range, m.
 fn farthest_fit(ego: &EgoTruth, road: &Road) -> ([f64; 4], f64) {
     let last = RANGES[RANGES.len() - 1];
-    let bend = road.lane(ego.lane).curvature_at(ego.place.s);
+    let lane = road.lane(ego.lane);
+    let bend = lane.curvature_at(ego.place.s);
+    let steps = (0..=(VIEW_RANGE / BEND_STEP) as usize).map(|step| step as f64 * BEND_STEP);
+    let bends = steps.map(|ahead| lane.curvature_at(ego.place.s + ahead).abs());
+    let is_straight = bends.fold(0.0, f64::max) < BENDS;
     let follows = |range: f64| {
         let (c, residual) = fit(ego, road, range);
-        let is_near = (2.0 * c[2] - bend).abs() < RESIDUAL_BEND || range <= RANGE_OF_BENDS;
+        let is_near = (2.0 * c[2] - bend).abs() < RESIDUAL_BEND;
+        let is_near = is_near || is_straight || range <= RANGE_OF_BENDS;
         (residual < RESIDUAL && is_near || range <= last).then_some((c, range))
     };
     RANGES.into_iter().find_map(follows).unwrap_or_default()

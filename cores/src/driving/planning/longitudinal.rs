@@ -63,7 +63,7 @@ const TOLERABLE_DANGER: f32 = 40.0;
 const SMOOTH_JERK: f32 = 8.0;
 const EMERGENCY_DANGER: f32 = 100.0;
 /// It must also have less than this share of their danger, unless theirs is that of a contact.
-const EMERGENCY_HELPS: f32 = 0.5;
+const EMERGENCY_HELPS: f32 = 0.25;
 const CONTACT_DANGER: f32 = 600.0;
 /// Full braking, m/s².
 pub(crate) const EMERGENCY_BRAKING: f32 = 9.0;

@@ -78,6 +78,8 @@ const SIDE_MARGIN_M: f32 = 0.35;
 const MEETING_S: f32 = 2.5;
 const MEETING_BRAKING: f32 = 3.5;
 const MEETING_DELAY_S: f32 = 1.5;
+/// It is then expected nearer by its way in this time, s: the vehicle stands before they meet.
+const MEETING_STANDS_S: f32 = 1.2;
 /// Its centre is then within this share of the lane's width from the middle: within the view, and
 /// up to twice as far.
 const WHOLLY: (f32, f32) = (0.3, 0.2);
@@ -502,9 +504,13 @@ fn choose_profile(
     // The vehicle stops before the end of its lane, and so before everything that stands beyond it.
     // An oncoming road user counts only if it is within the view and near.
     let seen = view.lanes.map_or(0.0, |lanes| lanes.view_range);
-    let is_early = |object: &Predicted| {
+    let comes = |object: &Predicted| {
         let share = if object.s < seen { WHOLLY.0 } else { WHOLLY.1 };
-        let is_against = abs(object.d) < share * 2.0 * half && object.s < 2.0 * seen;
+        let is_in_lane = abs(object.d) < share * 2.0 * half && object.s < 2.0 * seen;
+        object.is_oncoming() && is_in_lane
+    };
+    let is_early = |object: &Predicted| {
+        let is_against = comes(object);
         let stops_s = start.first / MEETING_BRAKING + MEETING_DELAY_S;
         let from_s = if is_against {
             max(stops_s, MEETING_S)
@@ -524,6 +530,11 @@ fn choose_profile(
         let is_beside = object.s - station.s < object.half_length + 0.5 * LENGTH_M
             && abs(object.d - station.offset.value) > object.half_width + 0.5 * WIDTH_M;
         let reach = object.half_width + 0.5 * WIDTH_M + SIDE_MARGIN_M;
+        let nearer = if comes(object) {
+            -MEETING_STANDS_S * object.speed
+        } else {
+            0.0
+        };
         // One that crosses may stop in the lane.
         let mut stands: Option<f32> = None;
         for (step, aside) in aside.iter().enumerate() {
@@ -536,7 +547,7 @@ fn choose_profile(
                 continue;
             }
             let (s, speed) = object.along(t);
-            let bound = s - object.half_length - 0.5 * LENGTH_M - station.s;
+            let bound = s - object.half_length - 0.5 * LENGTH_M - station.s - nearer;
             let passed = object.passes()
                 && start.first * t > s - station.s + object.half_length + 0.5 * LENGTH_M + PASSED_M;
             let is_in_the_way = !is_aside && !passed;
