@@ -1,13 +1,16 @@
 //! Polylines: sampling at equal distances and smoothing without shrinking curves.
 
-use crate::geometry::Vec2;
+use crate::geometry::{Vec2, wrap_angle};
 
 /// Standard deviation of the smoothing kernel, m. A corner of 0.02 rad becomes a curve with less
 /// than 0.7 m/s² of lateral acceleration at 30 m/s; a curve with 60 m radius moves by 6 cm.
 const SIGMA: f64 = 15.0;
-/// The same where that kernel would leave the mapped line, m: it moves a bend of 20 m radius by
-/// 12 cm.
-const SIGMA_IN_BENDS: f64 = 8.0;
+/// The same where that kernel would leave the mapped line, m: the first one moves a bend of 20 m
+/// radius by 12 cm. The second is used if the first makes a bend sharper than [`SHARPEST`].
+const SIGMAS_IN_BENDS: [f64; 2] = [8.0, 11.0];
+/// A narrower kernel must not make a sharper bend than this, 1/m: maps have corners where roads have
+/// bends inside the domain.
+const SHARPEST: f64 = 1.0 / 20.0;
 /// The narrow kernel's share begins where the wide one moves the line by the first of these, and is
 /// whole from the second on, m.
 const LEAVES: (f64, f64) = (0.25, 0.5);
@@ -57,10 +60,19 @@ pub(super) fn smoothed(points: &[Vec2], step: f64) -> Vec<Vec2> {
     };
     let shares: Vec<Vec2> = (0..shares.len()).map(around).collect();
     let shares = gaussian(&shares, step, SIGMA);
-    let narrow = twiced(points, step, SIGMA_IN_BENDS);
-    let both = wide.iter().zip(&narrow).zip(&shares);
-    both.map(|((wide, narrow), share)| wide.lerp(*narrow, share.x))
-        .collect()
+    let with = |sigma: f64| -> Vec<Vec2> {
+        let narrow = twiced(points, step, sigma);
+        let both = wide.iter().zip(&narrow).zip(&shares);
+        both.map(|((wide, narrow), share)| wide.lerp(*narrow, share.x))
+            .collect()
+    };
+    let is_bend = |line: &Vec<Vec2>| {
+        let headings = headings(line);
+        let mut bends = headings.windows(3);
+        bends.all(|it| wrap_angle(it[2] - it[0]).abs() <= 2.0 * step * SHARPEST)
+    };
+    let found = SIGMAS_IN_BENDS.into_iter().map(with).find(is_bend);
+    found.unwrap_or(wide)
 }
 
 /// Smooths twice and adds back what the second pass removed ("twicing", Tukey 1977): a kernel of
@@ -126,12 +138,12 @@ mod tests {
         for point in &smoothed(&circle, 2.0)[40..80] {
             assert!((point.norm() - 60.0).abs() < 0.06, "{}", point.norm());
         }
-        let quarter = |i| Vec2::from_angle(f64::from(i) / 10.0) * 20.0;
+        let quarter = |i| Vec2::from_angle(f64::from(i) / 10.0) * 30.0;
         let quarter: Vec<Vec2> = (0..16).map(quarter).collect();
         let line = [
-            &[Vec2::new(20.0, -100.0)],
+            &[Vec2::new(30.0, -100.0)],
             &quarter[..],
-            &[Vec2::new(-100.0, 20.0)],
+            &[Vec2::new(-100.0, 30.0)],
         ];
         let line = resampled(&line.concat(), 2.0);
         for (raw, smooth) in line.iter().zip(smoothed(&line, 2.0)) {
