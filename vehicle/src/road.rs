@@ -591,6 +591,28 @@ mod tests {
         assert_eq!(fork(300.0, &[4])[0], [1, 2]);
     }
 
+    /// A lane that is not for cars is no neighbour and no place for the ego, and ends the domain of
+    /// a lane that becomes one. Other road users are still on it.
+    #[test]
+    fn a_refused_lane_is_no_lane_for_the_ego() {
+        let mut own = lanelet(1, [(0.0, 0.0), (200.0, 0.0)], &[2], &[]);
+        let mut next = lanelet(2, [(200.0, 0.0), (400.0, 0.0)], &[], &[1]);
+        let mut beside = lanelet(3, [(0.0, 3.5), (400.0, 3.5)], &[], &[]);
+        own.left_neighbour = Some(3);
+        let on_it = Vec2::new(100.0, 3.4);
+        for refused in [false, true] {
+            (next.is_refused, beside.is_refused) = (refused, refused);
+            let road = Road::new(&[own.clone(), next.clone(), beside.clone()]).unwrap();
+            let (lane, place) = road.locate_car(Vec2::new(100.0, 0.1), 0.0);
+            assert_eq!(lane, LaneId(0));
+            let left = road.lane(lane).at(place.s).left;
+            assert_eq!(left, (!refused).then_some(LaneId(1)));
+            assert_eq!(road.domain_end(lane, place.s).is_some(), refused);
+            assert_eq!(road.locate(on_it, 0.0).0, LaneId(1));
+            assert_eq!(road.locate_car(on_it, 0.0).0, LaneId(usize::from(!refused)));
+        }
+    }
+
     /// Where two lanes overlap, the drive starts in the one along the vehicle's heading, even if
     /// the other one's centre is a little nearer.
     #[test]
