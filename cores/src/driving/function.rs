@@ -43,8 +43,9 @@ const CONTINUES_M: f32 = 50.0;
 /// the measured distance is noisy.
 const TAKEN_BACK: f32 = 1.3;
 
-/// Returns whether a vehicle with this `speed`, m/s, stays within the operational design domain, and
-/// in a lane that does not end, for as long as it takes to ask the driver and to stop. `stayed`: the result of the previous cycle.
+/// Returns whether a vehicle with this `speed`, m/s, stays within the operational design domain,
+/// and in a lane that does not end, for as long as it takes to ask the driver and to stop.
+/// `stayed`: the result of the previous cycle.
 #[must_use]
 pub fn stays_in_domain(lanes: &Lanes, speed: f32, stayed: bool) -> bool {
     if lanes.own_end == f32::INFINITY {

@@ -145,8 +145,8 @@ fn curved(slope: f32, bend: f32) -> f32 {
 const NODES: usize = 96;
 /// Distance between nodes along x, m.
 const NODE_STEP_M: f32 = 4.0;
-/// In a sharp bend the line is less certain, so the lateral acceleration is lower: by this times the
-/// curvature, m.
+/// In a sharp bend the line is less certain, so the lateral acceleration is lower: by this times
+/// the curvature, m.
 const SHARP_M: f32 = 8.0;
 /// Distance between two places at which the line's bend is taken, m.
 const BEND_STEP_M: f32 = 4.0;

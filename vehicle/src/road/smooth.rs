@@ -8,8 +8,8 @@ const SIGMA: f64 = 15.0;
 /// The same where that kernel would leave the mapped line, m: the first one moves a bend of 20 m
 /// radius by 12 cm. The second is used if the first makes a bend sharper than [`SHARPEST`].
 const SIGMAS_IN_BENDS: [f64; 2] = [8.0, 11.0];
-/// A narrower kernel must not make a sharper bend than this, 1/m: maps have corners where roads have
-/// bends inside the domain, which ends a tenth above.
+/// A narrower kernel must not make a sharper bend than this, 1/m: maps have corners where roads
+/// have bends inside the domain, which ends a tenth above.
 const SHARPEST: f64 = 1.0 / 22.0;
 /// The narrow kernel's share begins where the wide one moves the line by the first of these, and is
 /// whole from the second on, m.

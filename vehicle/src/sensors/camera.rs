@@ -20,8 +20,8 @@ const RANGES: [f64; 10] = [
 const RESIDUAL: f64 = 0.15;
 /// Distance from which an end of a lane is seen, m: signs and markings announce it.
 const END_IN_SIGHT: f64 = 300.0;
-/// From a longer range than the first, m, the cubic has the lane's curvature at the vehicle, with an
-/// error below the second, 1/m: a bend that begins far ahead does not bend the line here.
+/// From a longer range than the first, m, the cubic has the lane's curvature at the vehicle, with
+/// an error below the second, 1/m: a bend that begins far ahead does not bend the line here.
 const RANGE_OF_BENDS: f64 = 20.0;
 const RESIDUAL_BEND: f64 = 8e-4;
 /// That is so where the lane bends more than this within the view, 1/m.
