@@ -26,7 +26,7 @@ pub use file::FileError;
 pub use judge::{Observed, known};
 pub use kind::{Ends, Facts, Kind, Scope};
 pub use loss::Loss;
-pub use plan::{DISTANCES, PHASES};
+pub use plan::{DISTANCES, Draw, PHASES};
 pub use sequence::{Group, Sequence};
 pub use setting::{DriveRoad, DriveSetting};
 pub use site::Site;

@@ -127,8 +127,13 @@ pub(crate) struct CanLogArgs {
 #[derive(Clone, Debug, Args)]
 pub(crate) struct JudgeArgs {
     /// A folder of CommonRoad scenarios, every file *.xml in it, or one such file
-    #[arg(value_name = "DIR|FILE")]
-    pub(crate) folder: PathBuf,
+    #[arg(value_name = "DIR|FILE", required_unless_present = "variants")]
+    pub(crate) folder: Option<PathBuf>,
+
+    /// Make this many scenarios of the classes that recorded roads lack, from --seed, and judge
+    /// them; with DIR, write them there as files, and judge nothing
+    #[arg(long, value_name = "N", conflicts_with_all = ["html", "solutions", "out"])]
+    pub(crate) variants: Option<std::num::NonZero<usize>>,
 
     /// How long to drive each scenario, in scenario time: 20, 20s, 1m
     #[arg(long, value_name = "TIME", default_value = "20s", value_parser = tandem::args::parse_duration)]

@@ -42,6 +42,17 @@ const NUMBER_MAX: f64 = 1e8;
 const LANELET_MAX: f64 = 1e5;
 /// Highest accepted speed of a vehicle, m/s.
 const SPEED_MAX: f64 = 150.0;
+/// Types of lanelets that cars must not drive on, and the users whose lanelets they may use.
+const NOT_FOR_CARS: [&str; 7] = [
+    "sidewalk",
+    "crosswalk",
+    "bicycleLane",
+    "busLane",
+    "shoulder",
+    "border",
+    "restricted",
+];
+const FOR_CARS: [&str; 2] = ["vehicle", "car"];
 /// Limits of the time step, s.
 const STEP_RANGE: core::ops::RangeInclusive<f64> = 1e-3..=60.0;
 /// Latest accepted time, s: a day.
@@ -70,6 +81,8 @@ pub struct Lanelet {
     pub right_neighbour: Option<i64>,
     /// m/s
     pub speed_limit: Option<f64>,
+    /// Cars must not drive here: by its type, or because it is for other users only.
+    pub is_refused: bool,
 }
 
 /// A place at one time.
@@ -410,7 +423,20 @@ impl<'a, 'input> Reader<'a, 'input> {
             left_neighbour: neighbour("adjacentLeft")?,
             right_neighbour: neighbour("adjacentRight")?,
             speed_limit: own.or(signed).filter(|limit| *limit > 0.0),
+            is_refused: self.is_refused(node),
         }))
+    }
+
+    /// Returns whether a lanelet is not for cars in its direction.
+    fn is_refused(&self, node: Element<'_, '_>) -> bool {
+        let named =
+            |name, names: &[&str]| elements(node, name).any(|it| names.contains(&self.text(it)));
+        let users = ["userOneWay", "userBidirectional"];
+        let is_told = users
+            .iter()
+            .any(|name| elements(node, name).next().is_some());
+        let for_cars = users.iter().any(|name| named(name, &FOR_CARS));
+        named("laneletType", &NOT_FOR_CARS) || is_told && !for_cars
     }
 
     fn obstacle(&self, node: Element<'_, '_>, is_static: bool, step_s: f64) -> Result<Obstacle> {

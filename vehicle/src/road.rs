@@ -8,6 +8,8 @@
 //! parallel to its neighbours. If a lane ends while a neighbour continues, the end is real: a lane
 //! drop.
 
+use std::collections::HashSet;
+
 use crate::commonroad::Lanelet;
 use crate::geometry::{Vec2, wrap_angle};
 use crate::road::chain::{CentreLine, Chain, Piece};
@@ -63,6 +65,8 @@ pub struct Section {
     pub right: Option<LaneId>,
     /// m/s; infinite if there is none.
     pub speed_limit: f64,
+    /// Cars must not drive here.
+    pub is_refused: bool,
 }
 
 /// A lane: a smooth centre line, its width and its neighbours.
@@ -144,6 +148,13 @@ impl RoadLane {
         (RUN_OUT - s).max(s - (last - RUN_OUT)).max(0.0)
     }
 
+    /// Returns whether the lane exists at arc length `s`, and cars may drive on it there.
+    #[must_use]
+    pub fn is_for_cars(&self, s: f64) -> bool {
+        let (a, b, t, _) = self.around(s);
+        self.exists_at(s) && !nearer(a, b, t).is_refused
+    }
+
     /// Returns whether the lane exists at arc length `s`.
     #[must_use]
     pub fn exists_at(&self, s: f64) -> bool {
@@ -199,7 +210,12 @@ impl Road {
             .collect();
         let headings = chain::run_out_headings(&lines);
         let by_id = chain::lanes_by_id(lanelets, &chains);
-        let lane_of = |id: Option<i64>| id.and_then(|id| by_id.get(&id)).map(|lane| LaneId(*lane));
+        let refused = lanelets.iter().filter(|it| it.is_refused);
+        let refused: HashSet<i64> = refused.map(|it| it.id).collect();
+        let lane_of = |id: Option<i64>| {
+            let id = id.filter(|id| !refused.contains(id))?;
+            by_id.get(&id).map(|lane| LaneId(*lane))
+        };
         let mut lanes: Vec<RoadLane> = chains
             .iter()
             .zip(&lines)
@@ -233,6 +249,22 @@ impl Road {
     /// along `yaw`; without such a lane, the nearest of all.
     #[must_use]
     pub fn locate(&self, point: Vec2, yaw: f64) -> (LaneId, Frenet) {
+        self.nearest(point, yaw, RoadLane::exists_at)
+    }
+
+    /// Returns the lane of [`Road::locate`] among those for cars.
+    #[must_use]
+    pub fn locate_car(&self, point: Vec2, yaw: f64) -> (LaneId, Frenet) {
+        self.nearest(point, yaw, RoadLane::is_for_cars)
+    }
+
+    /// Returns the nearest lane of which this part is `usable`; without one, the nearest of all.
+    fn nearest(
+        &self,
+        point: Vec2,
+        yaw: f64,
+        usable: fn(&RoadLane, f64) -> bool,
+    ) -> (LaneId, Frenet) {
         let mut best = (LaneId(0), Frenet::default());
         let mut best_cost = f64::INFINITY;
         for (index, lane) in self.lanes.iter().enumerate() {
@@ -241,7 +273,7 @@ impl Road {
             }
             let Foot { place, point: at } = lane.foot_of(point);
             let wrong_way = wrap_angle(at.heading - yaw).abs() > 1.0;
-            let penalty = if wrong_way || !lane.exists_at(place.s) {
+            let penalty = if wrong_way || !usable(lane, place.s) {
                 1e6
             } else {
                 0.0
@@ -294,7 +326,7 @@ impl Road {
     /// lane along `yaw` is chosen where lanes overlap, as after a fork.
     #[must_use]
     pub fn locate_start(&self, point: Vec2, yaw: f64) -> (LaneId, Frenet) {
-        let (nearest, place) = self.locate(point, yaw);
+        let (nearest, place) = self.locate_car(point, yaw);
         let cost = |lane: &RoadLane, place: Frenet| {
             let turn = wrap_angle(lane.at(place.s).heading - yaw).abs();
             place.d.abs() + HEADING_WEIGHT * turn
@@ -306,7 +338,7 @@ impl Road {
             let section = lane.at(place.s);
             let is_on = (point - section.centre).norm() < section.width / 2.0;
             let cost = cost(lane, place);
-            if is_on && lane.exists_at(place.s) && cost < least {
+            if is_on && lane.is_for_cars(place.s) && cost < least {
                 (best, least) = ((LaneId(index), place), cost);
             }
         }
@@ -380,6 +412,7 @@ fn lane(
                 left: lane_of(lanelet.left_neighbour),
                 right: lane_of(lanelet.right_neighbour),
                 speed_limit: lanelet.speed_limit.unwrap_or(f64::INFINITY),
+                is_refused: lanelet.is_refused,
             }
         })
         .collect();
@@ -412,7 +445,10 @@ fn nearest_station(centres: &[Vec2], point: Vec2) -> f64 {
 fn join_beyond_the_map(lanes: &mut [RoadLane]) {
     let last: Vec<(Section, bool)> = lanes
         .iter()
-        .map(|l| (l.sections[l.sections.len() - 1], l.end.is_none()))
+        .map(|l| {
+            let last = l.sections[l.sections.len() - 1];
+            (last, l.end.is_none() && !last.is_refused)
+        })
         .collect();
     for (index, lane) in lanes.iter_mut().enumerate() {
         let (own, goes_on) = last[index];
@@ -518,6 +554,7 @@ mod tests {
             left_neighbour: None,
             right_neighbour: None,
             speed_limit: None,
+            is_refused: false,
         }
     }
 
@@ -560,6 +597,28 @@ mod tests {
         assert_eq!(fork(30.0, &[4])[0], [1, 3, 4]);
         assert_eq!(fork(30.0, &[])[0], [1, 2]);
         assert_eq!(fork(300.0, &[4])[0], [1, 2]);
+    }
+
+    /// A lane that is not for cars is no neighbour and no place for the ego, and ends the domain of
+    /// a lane that becomes one. Other road users are still on it.
+    #[test]
+    fn a_refused_lane_is_no_lane_for_the_ego() {
+        let mut own = lanelet(1, [(0.0, 0.0), (200.0, 0.0)], &[2], &[]);
+        let mut next = lanelet(2, [(200.0, 0.0), (400.0, 0.0)], &[], &[1]);
+        let mut beside = lanelet(3, [(0.0, 3.5), (400.0, 3.5)], &[], &[]);
+        own.left_neighbour = Some(3);
+        let on_it = Vec2::new(100.0, 3.4);
+        for refused in [false, true] {
+            (next.is_refused, beside.is_refused) = (refused, refused);
+            let road = Road::new(&[own.clone(), next.clone(), beside.clone()]).unwrap();
+            let (lane, place) = road.locate_car(Vec2::new(100.0, 0.1), 0.0);
+            assert_eq!(lane, LaneId(0));
+            let left = road.lane(lane).at(place.s).left;
+            assert_eq!(left, (!refused).then_some(LaneId(1)));
+            assert_eq!(road.domain_end(lane, place.s).is_some(), refused);
+            assert_eq!(road.locate(on_it, 0.0).0, LaneId(1));
+            assert_eq!(road.locate_car(on_it, 0.0).0, LaneId(usize::from(!refused)));
+        }
     }
 
     /// Where two lanes overlap, the drive starts in the one along the vehicle's heading, even if

@@ -265,6 +265,7 @@ mod tests {
             left_neighbour: left,
             right_neighbour: None,
             speed_limit: None,
+            is_refused: false,
         };
         let mut lanelets = vec![
             lanelet(1, 0.0, 0.0, 200.0, [&[], &[2]], None),

@@ -458,6 +458,8 @@ impl World {
             let needed = emergency::needed(&ego, (now.gap, now.leader_speed), others);
             self.meter.needs(self.snapshot.time_s, needed);
         }
+        let lane_end = self.road.lane(self.ego.lane).end;
+        let past_end = lane_end.map_or(0.0, |end| (self.ego.place.s - end).max(0.0));
         self.meter.step(&Sample {
             time_s: self.snapshot.time_s,
             parks: self.driver.parks(self.snapshot.time_s),
@@ -465,7 +467,7 @@ impl World {
             long_acceleration: self.ego.long_acceleration,
             lat_acceleration: self.ego.lat_acceleration,
             lane: self.ego.lane,
-            offset: self.ego.place.d,
+            offset: self.ego.place.d.hypot(past_end),
             width: self.lane_width,
             wrong_way: self.wrong_way,
             outside: self.outside,
@@ -502,13 +504,13 @@ impl World {
         ego.place = lane.project_near(pose.position, ego.place.s);
         let width = lane.width_at(ego.place.s);
         let outside = ego.place.d.abs() > width / 2.0 + LANE_HYSTERESIS;
-        if outside || !lane.exists_at(ego.place.s) {
-            (ego.lane, ego.place) = self.road.locate(pose.position, pose.yaw);
+        if outside || !lane.is_for_cars(ego.place.s) {
+            (ego.lane, ego.place) = self.road.locate_car(pose.position, pose.yaw);
         }
         let lane = self.road.lane(ego.lane);
         let heading = lane.line.at(ego.place.s).heading;
         let along = wrap_angle(heading - pose.yaw).abs() < ALONG;
-        let is_own = along && lane.exists_at(ego.place.s);
+        let is_own = along && lane.is_for_cars(ego.place.s);
         self.lane_width = if is_own {
             lane.width_at(ego.place.s)
         } else {

@@ -43,20 +43,22 @@ const CONTINUES_M: f32 = 50.0;
 /// the measured distance is noisy.
 const TAKEN_BACK: f32 = 1.3;
 
-/// Returns whether a vehicle with this `speed`, m/s, stays within the operational design domain for
-/// as long as it takes to ask the driver and to stop. `stayed`: the result of the previous cycle.
+/// Returns whether a vehicle with this `speed`, m/s, stays within the operational design domain,
+/// and in a lane that does not end, for as long as it takes to ask the driver and to stop.
+/// `stayed`: the result of the previous cycle.
 #[must_use]
 pub fn stays_in_domain(lanes: &Lanes, speed: f32, stayed: bool) -> bool {
-    if !lanes.ends_domain {
+    if lanes.own_end == f32::INFINITY {
         return true;
     }
     let continues =
         |lane: Option<f32>, end: f32| lane.is_some() && end > lanes.own_end + CONTINUES_M;
     let beside = continues(lanes.left, lanes.left_end) || continues(lanes.right, lanes.right_end);
-    let asked_s = if beside {
-        CHANGE_S
-    } else {
-        TAKEOVER_LIMIT.as_secs_f32()
+    let asked_s = match (beside, lanes.ends_domain) {
+        (true, true) => CHANGE_S,
+        // The vehicle merges where it can, and brakes from there on.
+        (true, false) => 0.0,
+        (false, _) => TAKEOVER_LIMIT.as_secs_f32(),
     };
     let way = STANDS_BEFORE_M + speed * (asked_s + speed / (2.0 * STOP_BRAKING));
     lanes.own_end > if stayed { way } else { TAKEN_BACK * way }
@@ -497,11 +499,25 @@ mod tests {
             let answer = stays_in_domain(&lanes(end, left), 20.0, stayed);
             assert_eq!(answer, stays, "{end} {left:?} {stayed}");
         }
-        let lane_ends = Lanes {
-            ends_domain: false,
-            ..lanes(10.0, None)
-        };
-        assert!(stays_in_domain(&lane_ends, 20.0, true));
+        // A lane that ends asks for the driver as early, or where the vehicle has to brake if it
+        // can still merge: 80 m to stop from 20 m/s.
+        for (end, left, stays) in [
+            (311.0, None, true),
+            (309.0, None, false),
+            (111.0, Some(3.5), true),
+            (109.0, Some(3.5), false),
+            (f32::INFINITY, None, true),
+        ] {
+            let lane_ends = Lanes {
+                ends_domain: false,
+                ..lanes(end, left)
+            };
+            assert_eq!(
+                stays_in_domain(&lane_ends, 20.0, true),
+                stays,
+                "{end} {left:?}"
+            );
+        }
         assert!(!stays_in_domain(&lanes(17.0, None), 0.0, true), "stands");
     }
 

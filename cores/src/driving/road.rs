@@ -6,9 +6,12 @@ use super::math::{abs, atan, bound, clamp, cos, max, min, sin, sqrt};
 use super::odometry::EgoPose;
 use super::types::Lanes;
 
-/// No road of the operational design domain has a larger curvature than this, 1/m; larger values of
-/// a noisy polynomial are limited to it.
-const MAX_BEND: f32 = 0.05;
+/// No road of the operational design domain has a larger curvature than this, 1/m, which is a tenth
+/// above 1/20; larger values of a noisy polynomial are limited to it.
+const MAX_BEND: f32 = 0.055;
+/// The same for the second derivative within the view, 1/m: the curvature of a line that turns away
+/// by 50° is a quarter of it.
+const MAX_SECOND: f32 = 0.22;
 /// Width of a lane if it is not known, m.
 pub(crate) const DEFAULT_LANE_WIDTH_M: f32 = 3.5;
 
@@ -81,13 +84,14 @@ impl CentreLine {
     #[must_use]
     pub fn bend(&self, x: f32) -> f32 {
         let inside = clamp(x, 0.0, self.end);
-        bound(2.0 * self.c[2] + 6.0 * inside * self.c[3], MAX_BEND)
+        let most = if x == inside { MAX_SECOND } else { MAX_BEND };
+        bound(2.0 * self.c[2] + 6.0 * inside * self.c[3], most)
     }
 
     /// Returns the curvature in 1/m at x.
     #[must_use]
     pub fn curvature(&self, x: f32) -> f32 {
-        curved(self.slope(x), self.bend(x))
+        bound(curved(self.slope(x), self.bend(x)), MAX_BEND)
     }
 
     /// Returns the direction in rad at x.
@@ -141,6 +145,11 @@ fn curved(slope: f32, bend: f32) -> f32 {
 const NODES: usize = 96;
 /// Distance between nodes along x, m.
 const NODE_STEP_M: f32 = 4.0;
+/// In a sharp bend the line is less certain, so the lateral acceleration is lower: by this times
+/// the curvature, m.
+const SHARP_M: f32 = 8.0;
+/// Distance between two places at which the line's bend is taken, m.
+const BEND_STEP_M: f32 = 4.0;
 /// x of the first node, m.
 const FIRST_NODE_M: f32 = -100.0;
 
@@ -215,7 +224,7 @@ impl FrenetFrame {
         let slope = self.line.slope(x);
         let heading = atan(slope);
         let cosine = cos(heading);
-        let curvature = curved(slope, self.line.bend(x));
+        let curvature = bound(curved(slope, self.line.bend(x)), MAX_BEND);
         let ahead = self.line.curvature(x + 1.0);
         Reference {
             x,
@@ -228,15 +237,30 @@ impl FrenetFrame {
         }
     }
 
-    /// Returns the greatest curvature between two arc lengths, by samples every 10 m, 1/m.
-    pub(crate) fn max_curvature(&self, from: f32, to: f32) -> f32 {
-        let mut greatest = 0.0;
-        let mut s = from;
-        while s <= to {
-            greatest = max(greatest, abs(self.line.curvature(self.x_of(s))));
-            s += 10.0;
+    /// Returns the speed, m/s, from which `braking`, m/s², leads to a lateral acceleration of at
+    /// most `lateral`, m/s², in each bend within the view, and the speed in the bend that limits it
+    /// most; by samples every 4 m from arc length `from` on, of which the first `near` metres are
+    /// driven before the vehicle brakes.
+    pub(crate) fn bend_speed(
+        &self,
+        from: f32,
+        near: f32,
+        lateral: f32,
+        braking: f32,
+    ) -> (f32, f32) {
+        let (mut square, mut least) = (f32::INFINITY, f32::INFINITY);
+        let (mut ahead, mut x) = (0.0, self.x_of(from));
+        while x <= self.line.end {
+            let bend = max(abs(self.line.curvature(x)), 1e-5);
+            let in_it = lateral * (1.0 - SHARP_M * bend) / bend;
+            let before = in_it + 2.0 * braking * max(ahead - near, 0.0);
+            if before < square {
+                (square, least) = (before, in_it);
+            }
+            ahead += BEND_STEP_M;
+            x = self.x_of(from + ahead);
         }
-        greatest
+        (sqrt(square), sqrt(least))
     }
 }
 
@@ -294,7 +318,19 @@ mod tests {
             "{}",
             reference.curvature
         );
-        assert!(frame.max_curvature(0.0, 50.0) <= 0.01);
+        let speed = |near| frame.bend_speed(0.0, near, 2.0, 1.5).0;
+        assert!((speed(0.0) - 13.6).abs() < 0.1, "{}", speed(0.0));
+        let straight_before = FrenetFrame::new(CentreLine {
+            c: [0.0, 0.0, -0.004, 1e-4],
+            end: 80.0,
+        });
+        let speed = |near| straight_before.bend_speed(0.0, near, 2.0, 1.5).0;
+        assert!(
+            speed(0.0) > speed(20.0) + 1.0,
+            "{} {}",
+            speed(0.0),
+            speed(20.0)
+        );
     }
 
     #[test]

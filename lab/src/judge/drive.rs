@@ -2,6 +2,7 @@
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::rc::Rc;
 
 use serde::Serialize;
@@ -13,7 +14,7 @@ use tandem_record::verdict::{Finding, Rule};
 use tandem_sim::drive::poller;
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road, RoadLane};
-use tandem_vehicle::{Scenario, World, WorldMetrics};
+use tandem_vehicle::{Scenario, ScenarioError, World, WorldMetrics};
 
 use super::drive_log::Recording;
 use super::lanelets::Lanelets;
@@ -148,8 +149,23 @@ pub(crate) fn judge(
     file: &str,
     out: Option<&ReportFolder>,
 ) -> anyhow::Result<Judgement> {
-    let path = args.folder.join(file);
-    let scenario = match Scenario::read(&path) {
+    let path = args.folder.as_deref().unwrap_or(Path::new("")).join(file);
+    let lanelets = Lanelets::read(&path);
+    judge_scenario(args, file, Scenario::read(&path), &lanelets, out)
+}
+
+/// Drives this scenario, and judges the drive; a scenario that could not be read is refused.
+///
+/// # Errors
+/// If the report cannot be written.
+pub(super) fn judge_scenario(
+    args: &JudgeArgs,
+    file: &str,
+    scenario: Result<Scenario, ScenarioError>,
+    lanelets: &Lanelets,
+    out: Option<&ReportFolder>,
+) -> anyhow::Result<Judgement> {
+    let scenario = match scenario {
         Ok(scenario) => scenario,
         Err(error) => return Ok(refused(file, error.to_string())),
     };
@@ -186,7 +202,6 @@ pub(crate) fn judge(
         recording.write(&world, ended, out)?;
     }
     picture.lanes = lanes(world.road(), &picture.path);
-    let lanelets = Lanelets::read(&path);
     let mut lane_types = BTreeSet::new();
     for place in &picture.path {
         lanelets.add_types(*place, &mut lane_types);

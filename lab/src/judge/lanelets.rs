@@ -26,8 +26,12 @@ pub(super) struct Lanelets(Vec<Lanelet>);
 impl Lanelets {
     /// Reads them; none if the file cannot be read.
     pub(super) fn read(path: &Path) -> Self {
-        let text = std::fs::read_to_string(path).unwrap_or_default();
-        Self::parse(&text).unwrap_or_default()
+        Self::of_text(&std::fs::read_to_string(path).unwrap_or_default())
+    }
+
+    /// Those of a file's text; none if it is no scenario.
+    pub(super) fn of_text(text: &str) -> Self {
+        Self::parse(text).unwrap_or_default()
     }
 
     fn parse(text: &str) -> Option<Self> {

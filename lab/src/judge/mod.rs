@@ -6,6 +6,7 @@ mod lanelets;
 mod page;
 mod rss;
 mod solution;
+mod variants;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -15,6 +16,7 @@ use drive::{Judgement, Verdict};
 use rss::Collision;
 use tandem_page::output::{OutputFile, OutputFolder};
 use tandem_record::verdict::Rule;
+use tandem_vehicle::Scenario;
 
 use crate::args::JudgeArgs;
 use crate::work;
@@ -27,9 +29,21 @@ use tandem::output::{REPORT, ReportFolder};
 /// If the folder cannot be read or has no scenario, a result cannot be written, or the ego caused
 /// a collision or left its lanes.
 pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
-    let (folder, files) = place(&args.folder).map_err(Failure::Usage)?;
+    let place = args.folder.as_deref();
+    if let Some(count) = args.variants {
+        let made = variants::variants(count.get(), args.seed);
+        return match place {
+            Some(folder) => {
+                let place = OutputFolder::check("DIR", folder).map_err(Failure::usage)?;
+                let file = |it: variants::Variant| (format!("{}.xml", it.name), it.text);
+                Ok(place.fill(&made.into_iter().map(file).collect::<Vec<_>>())?)
+            }
+            None => judge_variants(args, made),
+        };
+    }
+    let (folder, files) = files_at(place.unwrap_or(Path::new(""))).map_err(Failure::Usage)?;
     let args = &JudgeArgs {
-        folder,
+        folder: Some(folder.clone()),
         ..args.clone()
     };
     if args.out.is_some() && files.len() != 1 {
@@ -45,9 +59,9 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     ];
     let places = OutputFile::check_all(places);
     let [json_to, html_to] = places.map_err(Failure::usage)?;
-    let folder = args.solutions.as_deref();
-    let folder = folder.map(|folder| OutputFolder::check("--solutions", folder));
-    let solutions_to = folder.transpose().map_err(Failure::usage)?;
+    let solutions = args.solutions.as_deref();
+    let solutions = solutions.map(|folder| OutputFolder::check("--solutions", folder));
+    let solutions_to = solutions.transpose().map_err(Failure::usage)?;
     let judged = all(args, &files, out.as_ref())?;
     if !json_to.as_ref().is_some_and(OutputFile::is_stdout) {
         tandem::print(&table(&judged))?;
@@ -56,7 +70,7 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
         place.write(&(serde_json::to_string_pretty(&judged)? + "\n"))?;
     }
     if let Some(place) = html_to {
-        place.write(&page::page(&args.folder, &judged))?;
+        place.write(&page::page(&folder, &judged))?;
     }
     if let Some(place) = solutions_to {
         let solved = judged.iter().filter_map(|it| {
@@ -77,7 +91,7 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
 }
 
 /// Returns the folder and the names of the scenarios in it: all, or one if it is a file.
-fn place(given: &Path) -> anyhow::Result<(PathBuf, Vec<String>)> {
+fn files_at(given: &Path) -> anyhow::Result<(PathBuf, Vec<String>)> {
     if !given.is_file() {
         return Ok((given.to_owned(), scenarios(given)?));
     }
@@ -85,6 +99,43 @@ fn place(given: &Path) -> anyhow::Result<(PathBuf, Vec<String>)> {
     let name = name.with_context(|| format!("{}: no name of a file", given.display()))?;
     let folder = given.parent().unwrap_or_else(|| Path::new("."));
     Ok((folder.to_owned(), vec![name.to_owned()]))
+}
+
+/// Judges made scenarios, and prints a table of their classes.
+///
+/// # Errors
+/// If a result cannot be written, or a drive breaks a bound.
+fn judge_variants(args: &JudgeArgs, made: Vec<variants::Variant>) -> Result<(), Failure> {
+    let [json_to] =
+        OutputFile::check_all([("--json", args.json.as_deref())]).map_err(Failure::usage)?;
+    let bar = work::bar(made.len() as u64, "{bar:30} {pos}/{len} {msg}")?;
+    let judged = work::on_threads(args.jobs, made.into_iter(), |it| {
+        bar.set_message(it.name.clone());
+        let scenario = Scenario::parse(&it.text, &it.name);
+        let lanelets = lanelets::Lanelets::of_text(&it.text);
+        let judgement = drive::judge_scenario(args, &it.name, scenario, &lanelets, None)?;
+        bar.inc(1);
+        Ok((it.class, judgement))
+    });
+    bar.finish_and_clear();
+    let judged = judged?;
+    if !json_to.as_ref().is_some_and(OutputFile::is_stdout) {
+        tandem::print(&variants::table(&judged))?;
+    }
+    if let Some(place) = json_to {
+        let judged: Vec<&Judgement> = judged.iter().map(|it| &it.1).collect();
+        place.write(&(serde_json::to_string_pretty(&judged)? + "\n"))?;
+    }
+    let broken = judged.iter().filter_map(|(class, it)| {
+        let found = variants::violations(*class, it);
+        (!found.is_empty()).then(|| format!("{}: {}", it.file, found.join(", ")))
+    });
+    let broken: Vec<String> = broken.collect();
+    if broken.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::Objections(broken))
+    }
 }
 
 /// Returns the names of the CommonRoad files in the folder, sorted.
@@ -314,7 +365,8 @@ mod tests {
         }
         let files = scenarios(folder.path()).unwrap();
         let args = JudgeArgs {
-            folder: folder.path().to_owned(),
+            folder: Some(folder.path().to_owned()),
+            variants: None,
             duration: 1.0,
             seed: 1,
             jobs: None,

@@ -24,6 +24,9 @@ const START_SPEED_MAX: f64 = 60.0;
 const STOP_BRAKING: f64 = 3.0;
 const STOP_DELAY_S: f64 = 0.7;
 const STOP_MARGIN: f64 = 8.0;
+/// Lateral acceleration in a bend that the ego must be able to slow down for, m/s²: twice what the
+/// functions drive with.
+const BEND_ACCELERATION: f64 = 4.4;
 /// Lanes cross if their centre lines are nearer than this, m, at an angle in this range, rad.
 const CROSSING_NEAR: f64 = 2.0;
 const CROSSING_ANGLE: std::ops::Range<f64> = 0.35..PI - 0.35;
@@ -41,6 +44,8 @@ pub enum Exit {
     Width(f64),
     /// The bend has this radius, below the limit, m.
     Radius(f64),
+    /// Cars must not drive on it: a sidewalk, or a lane for bicycles or buses.
+    Refused,
 }
 
 impl fmt::Display for Exit {
@@ -50,6 +55,7 @@ impl fmt::Display for Exit {
             Self::Shared => f.write_str("a lane for both directions"),
             Self::Width(width) => write!(f, "a lane {width:.1} m wide"),
             Self::Radius(radius) => write!(f, "a bend of {radius:.0} m radius"),
+            Self::Refused => f.write_str("a lane that is not for cars"),
         }
     }
 }
@@ -85,6 +91,9 @@ pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
     };
     let exit = |index: usize, s: f64, section: &Section| {
         let bend = section.curvature.abs();
+        if section.is_refused {
+            return Some(Exit::Refused);
+        }
         if !WIDTH.contains(&section.width) {
             return Some(Exit::Width(section.width));
         }
@@ -128,9 +137,27 @@ pub(crate) fn refusal(
     if speed > START_SPEED_MAX {
         return Some(format!("the vehicle starts with {speed:.0} m/s"));
     }
+    if let Some(reason) = too_fast(road.lane(lane), s, speed) {
+        return Some(reason);
+    }
     let (distance, exit) = road.domain_end(lane, s)?;
     let stop = speed * speed / (2.0 * STOP_BRAKING) + STOP_DELAY_S * speed + STOP_MARGIN;
     (distance < stop).then(|| format!("{exit} {distance:.0} m ahead of the start"))
+}
+
+/// Returns why the ego cannot slow down for a bend ahead of this start; `None` if it can.
+fn too_fast(lane: &RoadLane, s: f64, speed: f64) -> Option<String> {
+    let ahead = lane.mapped().filter(|(at, _)| *at > s);
+    ahead
+        .map(|(at, section)| (at - s, section.curvature.abs().max(1e-6)))
+        .find_map(|(ahead, bend)| {
+            let room = (ahead - STOP_DELAY_S * speed).max(0.0);
+            let most = (BEND_ACCELERATION / bend + 2.0 * STOP_BRAKING * room).sqrt();
+            (speed > most && bend < 1.0 / RADIUS_MIN).then(|| {
+                let radius = 1.0 / bend;
+                format!("with {speed:.0} m/s, a bend of {radius:.0} m radius {ahead:.0} m ahead")
+            })
+        })
 }
 
 #[cfg(test)]
@@ -163,6 +190,7 @@ mod tests {
             left_neighbour: None,
             right_neighbour: None,
             speed_limit: None,
+            is_refused: false,
         }
     }
 

@@ -7,7 +7,7 @@ use tandem_bus::CameraLanes;
 
 use super::{EgoTruth, Noise};
 use crate::geometry::Vec2;
-use crate::road::{LaneId, Road};
+use crate::road::{LaneId, Road, RoadLane};
 
 /// Longest reach of the polynomial, m: over a longer distance, a cubic deviates from curves of
 /// motorway junctions by decimetres.
@@ -20,6 +20,23 @@ const RANGES: [f64; 10] = [
 const RESIDUAL: f64 = 0.15;
 /// Distance from which an end of a lane is seen, m: signs and markings announce it.
 const END_IN_SIGHT: f64 = 300.0;
+/// From a longer range than the first, m, the cubic has the lane's curvature at the vehicle, with
+/// an error below the second, 1/m: a bend that begins far ahead does not bend the line here.
+const RANGE_OF_BENDS: f64 = 20.0;
+const RESIDUAL_BEND: f64 = 8e-4;
+/// That is so where the lane bends more than this within the view, 1/m.
+const BENDS: f64 = 0.003;
+/// A bend has a sign with the speed of this lateral acceleration, m/s², to which a vehicle slows
+/// down with this braking, m/s², until this distance before it, m.
+const BEND_ACCELERATION: f64 = 2.2;
+const BEND_BRAKING: f64 = 1.3;
+const BEND_MARGIN: f64 = 15.0;
+/// Distance between two places at which bends are looked for, m.
+const BEND_STEP: f64 = 5.0;
+/// No bend has a sign with a higher speed than this, m/s: that of the domain.
+const SPEED_WITHOUT_SIGN: f64 = 60.0;
+/// Largest third coefficient that the frame can carry, 1/m².
+const C3_MAX: f64 = 3.2e-4;
 /// How many points are fitted.
 const POINTS: usize = 20;
 /// Standard deviations of the coefficients' errors: each causes 8 cm at 60 m, and 8 cm at the same
@@ -76,11 +93,7 @@ impl LaneCamera {
             ends_domain: domain_end < lane_end && domain_end <= END_IN_SIGHT,
             left_end: self.neighbour_end(road, ego, left),
             right_end: self.neighbour_end(road, ego, right),
-            speed_limit: if here.speed_limit.is_finite() {
-                here.speed_limit as f32
-            } else {
-                CameraLanes::NO_SPEED_LIMIT
-            },
+            speed_limit: signed_speed(lane, ego.place.s, here.speed_limit),
             ..CameraLanes::default()
         }
     }
@@ -111,12 +124,41 @@ impl LaneCamera {
     }
 }
 
+/// Returns the speed that signs allow here, m/s: the limit, and before a bend the speed from which
+/// [`BEND_BRAKING`] leads to the bend's own. The map has both, as it has the ends of lanes.
+fn signed_speed(lane: &RoadLane, s: f64, limit: f64) -> f32 {
+    let steps = (0..=(END_IN_SIGHT / BEND_STEP) as usize).map(|step| step as f64 * BEND_STEP);
+    let bend = steps.map(|ahead| {
+        let bend = lane.curvature_at(s + ahead).abs().max(1e-6);
+        let room = (ahead - BEND_MARGIN).max(0.0);
+        (BEND_ACCELERATION / bend + 2.0 * BEND_BRAKING * room).sqrt()
+    });
+    let bend = bend.fold(f64::INFINITY, f64::min);
+    let speed = if bend < SPEED_WITHOUT_SIGN {
+        bend.min(limit)
+    } else {
+        limit
+    };
+    if speed.is_finite() {
+        speed as f32
+    } else {
+        CameraLanes::NO_SPEED_LIMIT
+    }
+}
+
 /// Returns the cubic over the longest range in which it follows the lane, and that range, m.
 fn farthest_fit(ego: &EgoTruth, road: &Road) -> ([f64; 4], f64) {
     let last = RANGES[RANGES.len() - 1];
+    let lane = road.lane(ego.lane);
+    let bend = lane.curvature_at(ego.place.s);
+    let steps = (0..=(VIEW_RANGE / BEND_STEP) as usize).map(|step| step as f64 * BEND_STEP);
+    let bends = steps.map(|ahead| lane.curvature_at(ego.place.s + ahead).abs());
+    let is_straight = bends.fold(0.0, f64::max) < BENDS;
     let follows = |range: f64| {
         let (c, residual) = fit(ego, road, range);
-        (residual < RESIDUAL || range <= last).then_some((c, range))
+        let is_near = (2.0 * c[2] - bend).abs() < RESIDUAL_BEND;
+        let is_near = is_near || is_straight || range <= RANGE_OF_BENDS;
+        (residual < RESIDUAL && is_near || range <= last).then_some((c, range))
     };
     RANGES.into_iter().find_map(follows).unwrap_or_default()
 }
@@ -145,7 +187,13 @@ fn fit(ego: &EgoTruth, road: &Road, range: f64) -> ([f64; 4], f64) {
             row[4] += weight * left * point.y;
         }
     }
-    let scaled = solve(matrix);
+    let mut scaled = solve(matrix);
+    let most = C3_MAX * range.powi(3);
+    if scaled[3].abs() > most {
+        // The best line that the frame can carry.
+        matrix[3] = [0.0, 0.0, 0.0, 1.0, scaled[3].clamp(-most, most)];
+        scaled = solve(matrix);
+    }
     let residual = |point: &Vec2| {
         let x = point.x / range;
         let y = scaled[0] + x * (scaled[1] + x * (scaled[2] + x * scaled[3]));

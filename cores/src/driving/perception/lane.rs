@@ -184,7 +184,7 @@ impl LaneFilter {
         }
         let s = &self.state;
         Some(Lanes {
-            c: [s.x, s.y, clamp(s.z, -0.03, 0.03), clamp(s.w, -3e-4, 3e-4)],
+            c: [s.x, s.y, clamp(s.z, -0.033, 0.033), clamp(s.w, -4e-4, 4e-4)],
             ..self.lanes
         })
     }

@@ -69,6 +69,9 @@ const TOLERABLE_DANGER: f32 = 40.0;
 /// one exceeds `EMERGENCY_DANGER`. A contact costs ten times as much.
 const SMOOTH_JERK: f32 = 8.0;
 const EMERGENCY_DANGER: f32 = 100.0;
+/// It must also have less than this share of their danger, unless theirs is that of a contact.
+const EMERGENCY_HELPS: f32 = 0.25;
+const CONTACT_DANGER: f32 = 600.0;
 /// Full braking, m/s².
 pub(crate) const EMERGENCY_BRAKING: f32 = 9.0;
 /// Jerk of smooth braking ramps and of those of an emergency, m/s³.
@@ -81,6 +84,10 @@ const WEIGHT_SPEED: f32 = 0.4;
 /// Speed errors beyond this weigh linearly: a large error must not cause hard acceleration, m/s.
 const SPEED_ERROR_KNEE: f32 = 4.0;
 const WEIGHT_UNSAFE: f32 = 400.0;
+/// It counts in full if the vehicle closes in with this speed, m/s, and with this share if the gap
+/// opens.
+const CLOSING: f32 = 2.0;
+const OPENING_SHARE: f32 = 0.1;
 const WEIGHT_CONTACT: f32 = 5_000.0;
 /// Cost per metre driven into the margin before the end of a lane, and the limit of that distance,
 /// m.
@@ -93,8 +100,8 @@ const ROUNDING: f32 = 1.001;
 /// Limits of the motion along the road, for each step of the evaluation.
 #[derive(Clone, Debug)]
 pub(crate) struct Corridor {
-    /// Speed to drive when nothing is ahead, m/s.
-    pub(crate) desired_speed: f32,
+    /// Speed to drive when nothing is ahead, at each step, m/s.
+    pub(crate) desired: [f32; STEPS],
     /// How far the ego's centre may go before it touches what is ahead, m.
     pub(crate) bound: [f32; STEPS],
     /// Speed of what is ahead, m/s.
@@ -117,7 +124,7 @@ impl Corridor {
     /// Nothing ahead.
     pub(crate) fn free(desired_speed: f32) -> Self {
         Self {
-            desired_speed,
+            desired: [desired_speed; STEPS],
             bound: [f32::INFINITY; STEPS],
             bound_speed: [0.0; STEPS],
             sought: [(f32::INFINITY, 0.0); STEPS],
@@ -146,7 +153,7 @@ impl Corridor {
 
     /// Returns the speed that a good driver would have at this step and place, m/s.
     fn target_speed(&self, step: usize, motion: &Jet) -> f32 {
-        let mut target = self.desired_speed;
+        let mut target = self.desired[step];
         if self.bound[step] < f32::INFINITY {
             let (wanted, distance_s) = if self.near_gap {
                 let share = if self.seeks { SEEKING_SHARE } else { 1.0 };
@@ -196,8 +203,10 @@ impl Corridor {
             let braking = speed * speed / 14.0 - ahead * ahead / 16.0;
             let safe = 1.0 + 0.3 * speed + max(braking, 0.0);
             if gap < safe {
+                // A gap that opens will be safe soon, so it needs no hard braking.
+                let closing = clamp((speed - ahead) / CLOSING, OPENING_SHARE, 1.0);
                 let lack = (safe - gap) / (safe + 4.0);
-                cost += WEIGHT_UNSAFE * lack * lack;
+                cost += WEIGHT_UNSAFE * closing * lack * lack;
             }
             if gap < 1.0 {
                 cost += WEIGHT_CONTACT * (1.0 - max(gap, -10.0));
@@ -578,7 +587,7 @@ pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
             if known.is_some_and(|manner| (manner == Manner::Comfortable) != comfortable) {
                 continue;
             }
-            let candidate = candidate(index, start, corridor.desired_speed);
+            let candidate = candidate(index, start, corridor.desired[STEPS / 2]);
             let Some((profile, least)) = candidate else {
                 continue;
             };
@@ -611,7 +620,9 @@ pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
     } else {
         (comfortable, Manner::Comfortable)
     };
-    if smooth.2 < EMERGENCY_DANGER || smooth.1 <= emergency.1 && smooth.1.is_finite() {
+    let helps = smooth.2 >= CONTACT_DANGER || emergency.2 < EMERGENCY_HELPS * smooth.2;
+    let is_dear = smooth.1 <= emergency.1 || !helps;
+    if smooth.2 < EMERGENCY_DANGER || is_dear && smooth.1.is_finite() {
         (smooth.0, manner)
     } else {
         (emergency.0, Manner::Emergency)

@@ -46,12 +46,16 @@ const DRAW: f32 = 0.04;
 /// plans of two systems that have begun differently become the same bits.
 const GRID: [f32; 5] = [1e-4, 1e-5, 1e-7, 1e-4, 1e-4];
 /// Lateral acceleration in curves, m/s².
-const CURVE_ACCELERATION: f32 = 2.2;
+const CURVE_ACCELERATION: f32 = 2.0;
+/// Braking before a bend, m/s², and how much earlier it begins, s: plans reach a speed later than
+/// they aim at it.
+const CURVE_BRAKING: f32 = 1.3;
+const CURVE_DELAY_S: f32 = 0.6;
 /// A view of at least this range counts as full, m: it needs no limit of speed.
 const FULL_VIEW_M: f32 = 78.0;
 /// The vehicle must be able to slow down to this speed, m/s, with this braking, m/s², at this
 /// distance before the end of the view, m.
-const UNSEEN_BEND_SPEED: f32 = 7.0;
+const UNSEEN_BEND_SPEED: f32 = 6.3;
 const UNSEEN_BRAKING: f32 = 1.5;
 const UNSEEN_MARGIN_M: f32 = 4.0;
 /// Distance kept to the end of a lane: room to steer into the next one, m.
@@ -62,13 +66,23 @@ const END_LEAST_M: f32 = 1.0;
 /// time, s, and the vehicle brakes for it with this deceleration, m/s².
 const SEEKING_S: f32 = 2.0;
 const SEEKING_BRAKING: f32 = 2.8;
+/// When a stop before the end needs this braking, m/s², the end counts in all steps.
+const SEEKING_UNTIL: f32 = 2.0;
 /// The body stays this far from the lane's border if the driver asks for a place off centre, m.
 const BORDER_M: f32 = 0.2;
 /// Lateral room that counts as free, m.
 const SIDE_MARGIN_M: f32 = 0.35;
 /// A road user that comes towards the vehicle is expected to return to its own lane if they would
-/// meet later than this, s.
+/// meet later than this, s. One that is wholly in the vehicle's lane counts as soon as the vehicle
+/// has to brake for it: with this braking, m/s², and this much before, s.
 const MEETING_S: f32 = 2.5;
+const MEETING_BRAKING: f32 = 3.5;
+const MEETING_DELAY_S: f32 = 1.5;
+/// It is then expected nearer by its way in this time, s: the vehicle stands before they meet.
+const MEETING_STANDS_S: f32 = 1.2;
+/// Its centre is then within this share of the lane's width from the middle: within the view, and
+/// up to twice as far.
+const WHOLLY: (f32, f32) = (0.3, 0.2);
 /// A road user that crosses ahead or comes towards the vehicle has been passed when it is this far
 /// behind, m.
 const PASSED_M: f32 = 1.0;
@@ -223,7 +237,8 @@ impl Planner {
             second: start.acceleration * along,
             third: 0.0,
         };
-        let desired_speed = desired_speed(scene, &view.frame, s);
+        let desired = desired_speeds(scene, &view.frame, s);
+        let desired_speed = desired[0];
 
         let goal = match &view.lanes {
             Some(lanes) => {
@@ -258,6 +273,7 @@ impl Planner {
         };
         let along = |goal: &Goal, path: &Path, before: Option<&Profile>| {
             let mut corridor = Corridor::free(desired_speed);
+            corridor.desired = desired;
             corridor.near_gap = scene.near_gap;
             choose_profile(&view, (&station, &first), path, goal, before, corridor)
         };
@@ -387,17 +403,21 @@ impl Planner {
     }
 }
 
-/// Returns the speed that driver, signs and curves allow, m/s. Without lanes it is 0; without a
-/// request of the driver, the present speed counts as requested.
-fn desired_speed(scene: &Scene, frame: &FrenetFrame, s: f32) -> f32 {
+/// Returns the speed that driver, signs and curves allow, now and at each step, m/s: before a bend
+/// it falls as the bend comes nearer. Without lanes it is 0; without a request of the driver, the
+/// present speed counts as requested.
+fn desired_speeds(scene: &Scene, frame: &FrenetFrame, s: f32) -> [f32; STEPS] {
     let Some(lanes) = &scene.lanes else {
-        return 0.0;
+        return [0.0; STEPS];
     };
     let set = scene.set_speed.unwrap_or(max(scene.ego.speed, 0.0));
-    let curvature = frame.max_curvature(s, s + 15.0 + 3.0 * max(scene.ego.speed, 0.0));
-    let curve = sqrt(CURVE_ACCELERATION / max(curvature, 1e-5));
-    let known = min(min(set, lanes.speed_limit), curve);
-    max(min(known, unseen_speed(lanes.view_range)), 0.0)
+    let near = CURVE_DELAY_S * max(scene.ego.speed, 0.0);
+    let (curve, in_curve) = frame.bend_speed(s, near, CURVE_ACCELERATION, CURVE_BRAKING);
+    let known = min(min(set, lanes.speed_limit), unseen_speed(lanes.view_range));
+    core::array::from_fn(|step| {
+        let falls = CURVE_BRAKING * step as f32 * STEP_S;
+        max(min(known, max(curve - falls, min(in_curve, curve))), 0.0)
+    })
 }
 
 /// Returns the speed that is safe for the unseen road, m/s: if the camera sees only part of its
@@ -454,6 +474,10 @@ fn choose_profile(
         path.at(station.s + way).value
     };
     corridor.seeks = goal.sought.is_some();
+    // A gap is sought as long as the vehicle can still stop gently.
+    let room = goal.end - station.s - END_MARGIN_M - 0.5 * LENGTH_M;
+    let seeks =
+        goal.sought.is_some() && start.first * start.first < 2.0 * SEEKING_UNTIL * max(room, 0.0);
     if goal.sought.is_some() {
         corridor.end_braking = SEEKING_BRAKING;
     }
@@ -465,7 +489,7 @@ fn choose_profile(
         let in_goal_lane = abs(aside - goal.offset) < half;
         let end = if in_goal_lane { goal.end } else { own_end };
         // While a gap is sought, the end of the lane counts only in the first steps.
-        if end < f32::INFINITY && (goal.sought.is_none() || t < SEEKING_S) {
+        if end < f32::INFINITY && (!seeks || t < SEEKING_S) {
             corridor.stop[step] = stop_before(end - station.s, start.first);
             corridor.end[step] = end - station.s - END_LEAST_M - 0.5 * LENGTH_M;
         }
@@ -480,9 +504,22 @@ fn choose_profile(
     // The vehicle stops before the end of its lane, and so before everything that stands beyond it.
     // An oncoming road user counts only if it is within the view and near.
     let seen = view.lanes.map_or(0.0, |lanes| lanes.view_range);
+    let comes = |object: &Predicted| {
+        let share = if object.s < seen { WHOLLY.0 } else { WHOLLY.1 };
+        let is_in_lane = abs(object.d) < share * 2.0 * half && object.s < 2.0 * seen;
+        object.is_oncoming() && is_in_lane
+    };
     let is_early = |object: &Predicted| {
-        let closing = start.first - object.speed;
-        object.is_oncoming() && (object.s > seen || object.s - station.s > MEETING_S * closing)
+        let is_against = comes(object);
+        let stops_s = start.first / MEETING_BRAKING + MEETING_DELAY_S;
+        let from_s = if is_against {
+            max(stops_s, MEETING_S)
+        } else {
+            MEETING_S
+        };
+        let away = object.s - station.s;
+        let is_seen = is_against || object.s <= seen;
+        object.is_oncoming() && (!is_seen || away > from_s * (start.first - object.speed))
     };
     let concerns = |object: &&Predicted| {
         object.s > station.s && !(object.s > own_end && object.speed < 1.0) && !is_early(object)
@@ -493,19 +530,32 @@ fn choose_profile(
         let is_beside = object.s - station.s < object.half_length + 0.5 * LENGTH_M
             && abs(object.d - station.offset.value) > object.half_width + 0.5 * WIDTH_M;
         let reach = object.half_width + 0.5 * WIDTH_M + SIDE_MARGIN_M;
+        let nearer = if comes(object) {
+            -MEETING_STANDS_S * object.speed
+        } else {
+            0.0
+        };
+        // One that crosses may stop in the lane.
+        let mut stands: Option<f32> = None;
         for (step, aside) in aside.iter().enumerate() {
             let t = (step + 1) as f32 * STEP_S;
             let is_aside = abs(object.across(t) - aside) >= reach;
             if is_aside && !is_sought {
+                if let Some(bound) = stands {
+                    corridor.limit(step, bound, 0.0);
+                }
                 continue;
             }
             let (s, speed) = object.along(t);
-            let bound = s - object.half_length - 0.5 * LENGTH_M - station.s;
+            let bound = s - object.half_length - 0.5 * LENGTH_M - station.s - nearer;
             let passed = object.passes()
                 && start.first * t > s - station.s + object.half_length + 0.5 * LENGTH_M + PASSED_M;
             let is_in_the_way = !is_aside && !passed;
             if is_in_the_way && !is_beside {
                 corridor.limit(step, bound, speed);
+                if object.crosses() {
+                    stands = stands.or(Some(bound));
+                }
             } else if is_sought || is_in_the_way {
                 corridor.seek(step, bound, speed);
             }

@@ -104,9 +104,14 @@ impl Predicted {
         self.speed < -ONCOMING
     }
 
+    /// Returns whether it crosses the road.
+    pub(crate) fn crosses(&self) -> bool {
+        self.sideways == Sideways::Crosses
+    }
+
     /// Returns whether it crosses the road or comes towards the vehicle: the two then pass.
     pub(crate) fn passes(&self) -> bool {
-        self.is_oncoming() || self.sideways == Sideways::Crosses
+        self.is_oncoming() || self.crosses()
     }
 
     /// Returns the place across the road in `t` seconds: a cut-in ends in the middle of the ego
