@@ -153,6 +153,7 @@ mod tests {
                 system: SystemId::A,
                 term: 2,
                 mode: ModeCode::L3,
+                asks: false,
                 age_ns: Some(sent_ns - measured_ns),
                 ruling: Ruling::Accepted,
             });

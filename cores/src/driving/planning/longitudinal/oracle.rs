@@ -59,7 +59,7 @@ fn cost(profile: &Profile, corridor: &Corridor) -> Option<(f32, f32)> {
 /// Returns the first of the cheapest with this manner, with its cost and its danger.
 fn first(start: &Jet, corridor: &Corridor, manner: Manner) -> (Profile, f32, f32) {
     let mut best = (Profile::emergency(start), f32::INFINITY, f32::INFINITY);
-    for profile in all(start, corridor.desired_speed) {
+    for profile in all(start, corridor.desired[STEPS / 2]) {
         if profile.manner(start.second) == manner
             && let Some((cost, danger)) = cost(&profile, corridor)
             && cost < best.1
@@ -81,7 +81,9 @@ fn plain(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
         true => (firm, Manner::Firm),
         false => (comfortable, Manner::Comfortable),
     };
-    if smooth.2 < EMERGENCY_DANGER || smooth.1 <= emergency.1 && smooth.1.is_finite() {
+    let helps = smooth.2 >= CONTACT_DANGER || emergency.2 < EMERGENCY_HELPS * smooth.2;
+    let is_dear = smooth.1 <= emergency.1 || !helps;
+    if smooth.2 < EMERGENCY_DANGER || is_dear && smooth.1.is_finite() {
         (smooth.0, manner)
     } else {
         (emergency.0, Manner::Emergency)
@@ -129,11 +131,13 @@ proptest! {
         corridor in corridor(),
         speed in prop_oneof![0.0_f32..40.0, (0_u8..40).prop_map(f32::from)],
         second in prop_oneof![Just(0.0_f32), -9.0_f32..3.0],
-        keeps in prop::bool::ANY,
+        keeps in prop::bool::ANY, falls in 0.0_f32..1.0,
     ) {
         let start = Jet { first: speed, second, ..Jet::default() };
-        let desired_speed = if keeps { speed } else { corridor.desired_speed };
-        let corridor = Corridor { desired_speed, ..corridor };
+        let first = if keeps { speed } else { corridor.desired[0] };
+        let fall = falls / STEPS as f32;
+        let desired = core::array::from_fn(|step| first * (1.0 - fall * step as f32));
+        let corridor = Corridor { desired, ..corridor };
         let (profile, manner) = cheapest(&start, &corridor);
         let expected = plain(&start, &corridor);
         prop_assert_eq!(manner, expected.1);
