@@ -32,7 +32,7 @@ pub(crate) fn cache_line(plan: &BatchPlan) -> io::Result<Batch> {
     between_processes(plan, line_ends)
 }
 
-/// Returns the time that a cache line takes now, one way, in picoseconds: the median of 2000, within
+/// Returns the time that a cache line takes now, one way, in ps: the median of 2000, within
 /// a millisecond.
 pub(crate) fn line_now(cpus: [usize; 2]) -> io::Result<u64> {
     let plan = BatchPlan {

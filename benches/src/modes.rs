@@ -4,7 +4,7 @@
 //! A hypervisor moves its virtual CPUs: between the threads of one physical core, cores that share
 //! a cache, and cores that do not. The same line then takes 40, 75 or 250 ns, all lines alike, for
 //! milliseconds or for a minute. So a bare line is measured before and after each batch. The times
-//! of all these lines have one mode for each state; a batch belongs to a state if both its lines do.
+//! of all these lines have one mode for each state; a batch belongs to one if both its lines do.
 
 use std::ops::Range;
 

@@ -104,7 +104,10 @@ fn the_processes_are_listed_with_exactly_the_promised_names() {
     for process in &listed {
         let mut names: Vec<&String> = process.as_object().unwrap().keys().collect();
         names.sort();
-        assert_eq!(names, ["core", "cpu", "kind", "pid", "role", "system"]);
+        assert_eq!(
+            names,
+            ["core", "cpu", "kind", "pid", "role", "run", "system"]
+        );
     }
     let of_kind = |kind: &str| run.processes().iter().filter(|p| p.kind == kind).count();
     assert_eq!(

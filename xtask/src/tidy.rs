@@ -18,7 +18,8 @@ rtos:
 runtime: board cores rtos
 capi: shm board redundancy
 topics: board bus shm
-topics-host: board board-udp bus shm topics
+topics-host: board board-udp bus qos-profiles shm topics
+qos-profiles: topics
 timesync: board
 timesync-host: board timesync
 exec: board shm

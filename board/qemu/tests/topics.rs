@@ -20,12 +20,12 @@ use tandem_bus::{GearCode, ParkingBrakeCode};
 use tandem_cores::driving::parking::SOC_STOP_LIMIT;
 use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::Event;
+use tandem_qos_profiles::{Profiles, SOC};
 use tandem_topics::endpoints::OUTPUTS;
 use tandem_topics::{CanFrame, EntityId, Guid, GuidPrefix, TopicType as _};
 use tandem_topics_host::approach::{Approach, ApproachPhase};
 use tandem_topics_host::gateway::Gateway;
 use tandem_topics_host::node::Node;
-use tandem_topics_host::profiles::{Profiles, SOC};
 use tandem_topics_host::soc::Soc;
 use tandem_vehicle::{Habit, Scenario, World, WorldConfig};
 

@@ -17,11 +17,11 @@ use anyhow::{Context as _, anyhow};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board::Channel;
 use tandem_board_udp::{UdpChannel, UdpPlace};
+use tandem_qos_profiles::{Profiles, SOC};
 use tandem_topics::Endpoint;
 use tandem_topics_host::approach::{Approach, ApproachPhase};
 use tandem_topics_host::listing::Listing;
 use tandem_topics_host::node::Node;
-use tandem_topics_host::profiles::{Profiles, SOC};
 use tandem_topics_host::soc::{Soc, endpoints};
 
 use crate::args::{ProfileName, TopicsArgs, TopicsCommand, TopicsPlace};

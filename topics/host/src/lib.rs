@@ -9,5 +9,3 @@ pub mod signals;
 pub mod soc;
 pub mod typed;
 pub mod udp;
-
-pub use tandem_qos_profiles as profiles;

@@ -12,7 +12,7 @@ use tandem_topics::{CanFrame, CdrError, Endpoint, TopicType};
 use crate::approach::{Approach, Orders};
 use crate::gateway::{Gateway, Passed, content};
 use crate::node::Node;
-use crate::profiles::{LookupError, Profiles};
+use tandem_qos_profiles::{LookupError, Profiles};
 
 /// Protects samples of the four topics end to end, and says when each is due: at first, at once.
 #[derive(Clone, Copy, Debug, Default)]

@@ -9,8 +9,8 @@ use std::process::{Command, Stdio};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree as _;
 use proptest::test_runner::TestRunner;
+use tandem_qos_profiles::{ProfileError, Profiles, SOC};
 use tandem_topics::{Durability, Qos, Reliability};
-use tandem_topics_host::profiles::{ProfileError, Profiles, SOC};
 
 const D_5: Qos = Qos {
     reliability: Reliability::Reliable,

@@ -8,10 +8,10 @@ use std::time::Duration;
 use tandem_board::Instant;
 use tandem_bus::e2e::Check;
 use tandem_bus::{Control, DriverRequest, GearCode, Message, ModeCode, ParkingBrakeCode};
+use tandem_qos_profiles::{Profiles, SOC};
 use tandem_topics::endpoints::SocTopic;
 use tandem_topics::{BrakeRequest, Gear, ParkingBrake, PowerControl, TopicType};
 use tandem_topics_host::approach::{Approach, ApproachPhase, GiveUp, Orders, SPEED};
-use tandem_topics_host::profiles::{Profiles, SOC};
 use tandem_topics_host::soc::{Commander, Soc};
 
 const CYCLE_MS: u64 = 10;

@@ -535,7 +535,8 @@ fn choose_profile(
         } else {
             0.0
         };
-        // One that crosses may stop in the lane.
+        // One that crosses may stop in the lane: it counts once the vehicle needs the way to brake.
+        let braking_way = start.first * (MEETING_DELAY_S + 0.5 * start.first / MEETING_BRAKING);
         let mut stands: Option<f32> = None;
         for (step, aside) in aside.iter().enumerate() {
             let t = (step + 1) as f32 * STEP_S;
@@ -553,7 +554,7 @@ fn choose_profile(
             let is_in_the_way = !is_aside && !passed;
             if is_in_the_way && !is_beside {
                 corridor.limit(step, bound, speed);
-                if object.crosses() {
+                if object.crosses() && bound < braking_way {
                     stands = stands.or(Some(bound));
                 }
             } else if is_sought || is_in_the_way {

@@ -25,6 +25,7 @@
 //! refused with another value. `resource_limits` must allow what `history/depth` asks for.
 //! `max_blocking_time` may have any value: a writer that keeps the last samples does not block.
 //! `<topic_qos>` is checked and has no effect: writers and readers do not copy it. D-5
+#![forbid(unsafe_code)]
 
 use std::collections::{BTreeMap, BTreeSet};
 
