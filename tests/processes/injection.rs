@@ -50,25 +50,25 @@ fn the_report_names_what_was_done_to_the_run() {
     let mut run = long_run(&fixture);
     let master = dual_master(&run);
     let standby = peer(&master);
-    for words in [
-        vec!["cut", "link", "--from", &master],
-        vec!["mend", "link"],
-        vec!["fault", "open-load", standby],
-        vec!["fault", "open-load", standby, "--mend"],
-    ] {
-        inject(&fixture, &run, &words);
-        // The vehicle looks at what it tells at least every 10 ms.
-        std::thread::sleep(Duration::from_millis(100));
-    }
-    // The fault took the system out; only a core that runs can be stopped.
+    let hands = |hands: &[&[&str]]| {
+        for words in hands {
+            inject(&fixture, &run, words);
+            // The vehicle looks at what it tells at least every 10 ms.
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    };
+    hands(&[
+        &["cut", "link", "--from", &master],
+        &["mend", "link"],
+        &["fault", "hang", standby],
+    ]);
     run.until_dual();
-    for words in [
-        vec!["fault", "hang", standby],
-        vec!["power", "off", standby],
-    ] {
-        inject(&fixture, &run, &words);
-        std::thread::sleep(Duration::from_millis(100));
-    }
+    hands(&[&["power", "off", standby], &["power", "on", standby]]);
+    run.until_dual();
+    hands(&[
+        &["fault", "open-load", standby],
+        &["fault", "open-load", standby, "--mend"],
+    ]);
     run.interrupt();
     let page = std::fs::read_to_string(fixture.folder().join("tandem-report/report.html"));
     let page = page.unwrap();
@@ -79,6 +79,7 @@ fn the_report_names_what_was_done_to_the_run() {
         (standby, "fault ends: open load of an output driver"),
         (standby, "its core 0 is stopped for 100 ms"),
         (standby, "its power is switched off"),
+        (standby, "its power is switched on"),
     ] {
         let row = format!("<td>hand on {system}</td><td>{told}</td>");
         assert!(page.contains(&row), "{row}");

@@ -308,7 +308,7 @@ fn a_run_that_is_missing_and_a_port_that_is_in_use() {
         said
     };
     let said = output(&["--run", "no-such-run"]);
-    assert!(said.contains("no run is active"), "{said}");
+    assert!(said.contains("no run no-such-run is active"), "{said}");
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let port = taken.local_addr().unwrap().port().to_string();
     let programs = programs();
