@@ -45,7 +45,7 @@ extern void tandem_on_panic(void);
 #define TANDEM_LINES(words) (((words) + 15u) / 16u * 16u)
 #define TANDEM_FIFO_SLOT(words)                                 \
     ((words) <= 2u ? 2u : (words) <= 4u ? 4u : (words) <= 8u ? 8u : TANDEM_LINES(words))
-#define TANDEM_FIFO_WORDS(slots, slot_words) \
+#define TANDEM_FIFO_WORDS(slots, slot_words)                    \
     TANDEM_LINES(16u + (slots) * TANDEM_FIFO_SLOT(1u + (slot_words)))
 #define TANDEM_NEWEST_WORDS(slots, slot_words)                  \
     ((slots) * (1u + (slot_words)) < 16u                        \

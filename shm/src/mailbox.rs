@@ -86,6 +86,9 @@ const fn handled_at(index: usize) -> usize {
 const NUMBER_SHIFT: u32 = 5;
 /// The index in the first post of a new sender: it posts no signal.
 const NO_TASK: u32 = TASKS as u32;
+/// The counts do not add up to the post: words were overwritten, or the last signal is posted and not
+/// yet counted. Which one cannot be told, so each poll compares.
+const DIFFERS: usize = TASKS + 1;
 
 /// Returns the next posted word, without an index.
 #[inline]
@@ -199,11 +202,13 @@ impl<'a> Sender<'a> {
         for (index, copy) in sent.iter_mut().enumerate().take(TASKS) {
             *copy = words[sent_at(index)].load(Ordering::Relaxed);
         }
-        let posted = words[POSTED_AT].load(Ordering::Relaxed);
+        // Acquire pairs with the Release in `send`: what the signal announces is seen.
+        let posted = words[POSTED_AT].load(Ordering::Acquire);
         let last = index_of(posted);
         if last < TASKS && next_post(post_of(&sent)) == posted - last as u32 {
             sent[last] = sent[last].wrapping_add(1);
-            words[sent_at(last)].store(sent[last], Ordering::Relaxed);
+            // Release pairs with the Acquire in `compare`.
+            words[sent_at(last)].store(sent[last], Ordering::Release);
         }
         let posted = post_of(&sent) | NO_TASK;
         // Release pairs with the Acquire in `poll`, as in `send`.
@@ -292,7 +297,8 @@ pub struct Receiver<'a> {
     next: u32,
     /// Number of polls until all counts are compared.
     polls_left: u32,
-    /// The next poll compares the counts from this task on, even without a post; [`TASKS`]: none.
+    /// The next poll compares the counts from this task on, even without a post; [`TASKS`]: none,
+    /// [`DIFFERS`]: all.
     compare_from: usize,
     /// Number of handled signals of each task.
     handled: [u32; SLOTS],
@@ -344,10 +350,14 @@ impl<'a> Receiver<'a> {
             return 0;
         }
         let mut sum = 0u32;
+        if self.compare_from == DIFFERS {
+            self.compare_from = 0;
+        }
         while let Some(open) = self.compare(posted) {
             handle(open);
             self.handled(open.task.at(), open.count);
-            self.compare_from = open.task.at() + 1;
+            // Not back, or counts that always change would keep this call.
+            self.compare_from = self.compare_from.max(open.task.at() + 1);
             sum = sum.wrapping_add(open.count);
         }
         sum
@@ -389,6 +399,8 @@ impl<'a> Receiver<'a> {
             }
             if handled == posted - last as u32 {
                 self.next = next_post(posted);
+            } else {
+                self.compare_from = DIFFERS;
             }
         }
         None
@@ -421,7 +433,7 @@ impl<'a> Receiver<'a> {
         // SeqCst pairs with the fence in `look_for_sleeper`.
         fence(Ordering::SeqCst);
         let posted = self.words[POSTED_AT].load(Ordering::Relaxed);
-        if self.compare_from == TASKS && posted == self.posted {
+        if self.compare_from >= TASKS && posted == self.posted {
             // A sleep may be long, so compare all counts first. Disabled under loom, as above.
             if cfg!(loom) || !self.is_any_open() || self.is_last_late(posted) {
                 return true;

@@ -20,7 +20,7 @@ const HEADER_WORDS: usize = INCARNATIONS_AT + Incarnations::WORDS;
 /// "TLMU"
 const MAGIC: u32 = 0x544C_4D55;
 /// Increased whenever the meaning of a primitive's words changes.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// A value that zeroed or erased memory does not have.
 const READY: u32 = 0x5EAD_1E55;
 

@@ -78,6 +78,7 @@
     reason = "plain access to words that their holder alone uses"
 )]
 
+use core::fmt;
 use core::ops::Deref;
 
 use crate::fifo::{self, Full};
@@ -94,12 +95,12 @@ pub(crate) const fn shape(bytes: usize, slots: usize) -> Shape {
 }
 
 /// A map whose [plain regions](crate::region::Plain) are accessed only by their ends.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy)]
 pub struct PlainMap<'a>(Map<'a>);
 
 impl<'a> PlainMap<'a> {
-    /// Makes plain slices available. Call it where the memory is mapped, in a board: all that
-    /// follows is safe code.
+    /// Makes plain slices available. Call it where the memory is mapped, in a board: what follows
+    /// is safe code that keeps these rules.
     ///
     /// # Safety
     /// While `'a` lasts, for each plain region that is attached through this map or a copy of it:
@@ -137,7 +138,6 @@ const fn place<const BYTES: usize>(words: &[AtomicU32]) -> *mut [u8; BYTES] {
 }
 
 /// The sending end. Each queue has one.
-#[derive(Debug)]
 pub struct Producer<'a, const BYTES: usize>(fifo::Producer<'a>);
 
 impl<'a, const BYTES: usize> Producer<'a, BYTES> {
@@ -158,7 +158,6 @@ impl<'a, const BYTES: usize> Producer<'a, BYTES> {
 }
 
 /// A block that is lent to the producer.
-#[derive(Debug)]
 #[must_use = "only `send` hands over what was filled in"]
 pub struct Loan<'p, 'a, const BYTES: usize>(fifo::Loan<'p, 'a, ()>);
 
@@ -190,7 +189,6 @@ impl<const BYTES: usize> Loan<'_, '_, BYTES> {
 }
 
 /// The receiving end. Each queue has one.
-#[derive(Debug)]
 pub struct Consumer<'a, const BYTES: usize>(fifo::Consumer<'a>);
 
 impl<'a, const BYTES: usize> Consumer<'a, BYTES> {
@@ -208,7 +206,6 @@ impl<'a, const BYTES: usize> Consumer<'a, BYTES> {
 }
 
 /// A block that was received and not yet released.
-#[derive(Debug)]
 #[must_use = "only `release` frees the block"]
 pub struct Incoming<'c, 'a, const BYTES: usize>(fifo::Incoming<'c, 'a, ()>);
 
@@ -238,4 +235,23 @@ impl<const BYTES: usize> Incoming<'_, '_, BYTES> {
     pub fn release(self) {
         self.0.release();
     }
+}
+
+/// Shows the name alone: the words of a block belong to its holder.
+macro_rules! shows_no_words {
+    ($($of:ty, $name:literal, [$($bytes:tt)*];)*) => {$(
+        impl<$($bytes)*> fmt::Debug for $of {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.debug_struct($name).finish_non_exhaustive()
+            }
+        }
+    )*};
+}
+
+shows_no_words! {
+    PlainMap<'_>, "PlainMap", [];
+    Producer<'_, BYTES>, "Producer", [const BYTES: usize];
+    Loan<'_, '_, BYTES>, "Loan", [const BYTES: usize];
+    Consumer<'_, BYTES>, "Consumer", [const BYTES: usize];
+    Incoming<'_, '_, BYTES>, "Incoming", [const BYTES: usize];
 }

@@ -165,6 +165,9 @@ impl<K> Copy for Region<K> {}
 pub enum EndError {
     /// The end is unique, and this living incarnation holds it.
     Claimed(Incarnation),
+    /// The incarnation that asks for an end of plain blocks was not announced or is dead: another
+    /// core could take the end from it.
+    NotAlive(Incarnation),
     /// The region is not part of this map's layout.
     Fit(FitError),
 }
@@ -173,6 +176,7 @@ impl core::fmt::Display for EndError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             Self::Claimed(holder) => write!(f, "the end is held by {holder:?}"),
+            Self::NotAlive(asking) => write!(f, "{asking:?} is not announced"),
             Self::Fit(error) => write!(f, "the region is not part of this layout: {error}"),
         }
     }
@@ -378,6 +382,19 @@ impl<T: Payload, const SLOTS: usize> Region<Fifo<T, SLOTS>> {
 }
 
 impl<const BYTES: usize, const SLOTS: usize> Region<Plain<BYTES, SLOTS>> {
+    /// Claims an end for an incarnation that keeps it: nobody takes it from one that is alive.
+    fn claimed_alive<'a>(
+        &self,
+        map: &PlainMap<'a>,
+        at: usize,
+        incarnation: Incarnation,
+    ) -> Result<&'a [AtomicU32], EndError> {
+        if !map.incarnations().is_alive(incarnation) {
+            return Err(EndError::NotAlive(incarnation));
+        }
+        self.claimed(map, at, incarnation)
+    }
+
     /// Attaches the sending end.
     ///
     /// # Errors
@@ -387,7 +404,7 @@ impl<const BYTES: usize, const SLOTS: usize> Region<Plain<BYTES, SLOTS>> {
         map: &PlainMap<'a>,
         incarnation: Incarnation,
     ) -> Result<plain::Producer<'a, BYTES>, EndError> {
-        let words = self.claimed(map, fifo::PRODUCER_CLAIM_AT, incarnation)?;
+        let words = self.claimed_alive(map, fifo::PRODUCER_CLAIM_AT, incarnation)?;
         Ok(plain::Producer::attach(
             words,
             Plain::<BYTES, SLOTS>::SHAPE,
@@ -403,7 +420,7 @@ impl<const BYTES: usize, const SLOTS: usize> Region<Plain<BYTES, SLOTS>> {
         map: &PlainMap<'a>,
         incarnation: Incarnation,
     ) -> Result<plain::Consumer<'a, BYTES>, EndError> {
-        let words = self.claimed(map, fifo::CONSUMER_CLAIM_AT, incarnation)?;
+        let words = self.claimed_alive(map, fifo::CONSUMER_CLAIM_AT, incarnation)?;
         Ok(plain::Consumer::attach(
             words,
             Plain::<BYTES, SLOTS>::SHAPE,

@@ -13,7 +13,7 @@ use tandem_shm::map::Map;
 use tandem_shm::newest::{self, ReadError};
 use tandem_shm::plain::PlainMap;
 use tandem_shm::pool::{self, Handle};
-use tandem_shm::region::{Plain, Region};
+use tandem_shm::region::{EndError, Plain, Region};
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
 use tandem_shm::{LINE_WORDS, Shape, fifo};
 
@@ -139,12 +139,21 @@ fn blocks_change_hands_in_place() {
         // SAFETY: only the two ends below access the region, and no end has a successor.
         let map = unsafe { PlainMap::new(map) };
         let [to, from] = [0, 1].map(|core| Incarnation::new(core, 1).unwrap());
+        let early = BLOCKS.producer(&map, to).map(drop);
+        assert_eq!(
+            early,
+            Err(EndError::NotAlive(to)),
+            "another core could take its end"
+        );
         for incarnation in [to, from] {
             map.incarnations().announce(incarnation).unwrap();
         }
         let mut producer = BLOCKS.producer(&map, to).unwrap();
         assert!(BLOCKS.producer(&map, to).is_err(), "there is one producer");
         let mut consumer = BLOCKS.consumer(&map, from).unwrap();
+        let loan = producer.loan().unwrap();
+        let shown = format!("{map:?} {loan:?} {consumer:?}");
+        assert_eq!(shown, "PlainMap { .. } Loan { .. } Consumer { .. }");
         assert!(
             BLOCKS.consumer(&map, from).is_err(),
             "there is one consumer"

@@ -539,13 +539,13 @@ impl World {
         let yaw = self.ego.pose.yaw;
         let own = self.road.lane(self.ego.lane);
         let near = own.project_near(point, self.ego.place.s);
-        if own.exists_at(near.s) && near.d.abs() <= own.width_at(near.s) / 2.0 {
+        if own.is_for_cars(near.s) && near.d.abs() <= own.width_at(near.s) / 2.0 {
             return 0.0;
         }
-        let (lane, place) = self.road.locate(point, yaw);
+        let (lane, place) = self.road.locate_car(point, yaw);
         let lane = self.road.lane(lane);
         let along = wrap_angle(lane.line.at(place.s).heading - yaw).abs() < ALONG;
-        let width = if along && lane.exists_at(place.s) {
+        let width = if along && lane.is_for_cars(place.s) {
             lane.width_at(place.s)
         } else {
             0.0

@@ -18,9 +18,12 @@ struct Run {
 
 impl Run {
     fn new(scenario: &str, seed: u64) -> Self {
-        let scenario = Scenario::load(scenario).unwrap();
+        Self::of(&Scenario::load(scenario).unwrap(), seed)
+    }
+
+    fn of(scenario: &Scenario, seed: u64) -> Self {
         Self {
-            world: World::new(&scenario, WorldConfig { seed }),
+            world: World::new(scenario, WorldConfig { seed }),
             now_ms: 5_000,
             transmitter: FrameTransmitter::new(),
             receiver: FrameReceiver::new(),
@@ -223,4 +226,41 @@ fn hitting_the_leader_counts_as_one_collision() {
         run.world.metrics()
     );
     assert!(run.world.metrics().ttc_min_s < 0.1);
+}
+
+/// Who leaves the lane onto one that is not for cars is outside, as far as beside any road.
+#[test]
+fn a_lane_that_is_not_for_cars_is_outside() {
+    let bound = |name: &str, y: f64| {
+        let point = |x: f64| format!("<point><x>{x}</x><y>{y}</y></point>");
+        format!("<{name}>{}{}</{name}>", point(-300.0), point(900.0))
+    };
+    let lanelet = |id: u32, y: f64, rest: &str| {
+        let (left, right) = (bound("leftBound", y + 1.75), bound("rightBound", y - 1.75));
+        format!("<lanelet id=\"{id}\">{left}{right}{rest}</lanelet>")
+    };
+    for (kind, is_outside) in [("urban", false), ("sidewalk", true), ("busLane", true)] {
+        let beside = format!(
+            "<adjacentRight ref=\"1\" drivingDir=\"same\"/><laneletType>{kind}</laneletType>"
+        );
+        let xml = format!(
+            "<commonRoad commonRoadVersion=\"2020a\" timeStepSize=\"0.1\" benchmarkID=\"two\">{}{}\
+             <planningProblem id=\"9\"><initialState><position><point><x>0</x><y>0</y></point>\
+             </position><orientation><exact>0</exact></orientation><time><exact>0</exact></time>\
+             <velocity><exact>20</exact></velocity></initialState></planningProblem></commonRoad>",
+            lanelet(1, 0.0, "<adjacentLeft ref=\"2\" drivingDir=\"same\"/>"),
+            lanelet(2, 3.5, &beside),
+        );
+        let scenario = Scenario::parse(&xml, "two").unwrap();
+        let mut run = Run::of(&scenario, 1);
+        // 3 m/s² to the left, until the body is in the other lane but not beyond it.
+        while run.now().pose.position.y < 2.9 {
+            run.send(0, 2, 0.0, 0.02);
+            run.wait(10);
+            assert!(run.now().time_s < 5.0, "it steers");
+        }
+        let excursion = run.world.metrics().excursion_max_m;
+        assert_eq!(excursion > 1.5, is_outside, "{kind}: {excursion}");
+        assert_eq!(excursion == 0.0, !is_outside, "{kind}: {excursion}");
+    }
 }

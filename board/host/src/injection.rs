@@ -19,7 +19,7 @@ use crate::backplane::{Backplane, BackplaneError, Deed};
 use crate::doorbell::Ringers;
 use crate::memory;
 use crate::name::RunName;
-use crate::process_list::{self, Process, RunError};
+use crate::process_list::{self, Process, ProcessKind, RunError};
 use crate::segment::SegmentError;
 use crate::supply::{poke, poke_launcher};
 
@@ -186,25 +186,33 @@ impl Injection {
     /// Stops core 0 of a system for 100 ms, longer than its watchdog waits. Blocks for that time.
     /// Returns `false` if the core has no process.
     pub fn hang(&self, system: SystemId) -> bool {
-        self.backplane.note(system, Deed::Hang);
-        let core = Target::Core(system, CoreId::CONTROL);
-        let is_stopped = self.signal(core, Signal::STOP);
-        std::thread::sleep(HANG);
-        // Fails if the watchdog has reset the core.
-        self.signal(core, Signal::CONT);
+        let is_it = |kind| matches!(kind, ProcessKind::Core(CoreId::CONTROL, _));
+        let Some(core) = self.process(system, is_it) else {
+            return false;
+        };
+        let is_stopped = kill_process(core, Signal::STOP).is_ok();
+        if is_stopped {
+            self.backplane.note(system, Deed::Hang);
+            std::thread::sleep(HANG);
+            // Fails if the watchdog has reset the core.
+            let _ = kill_process(core, Signal::CONT);
+        }
         is_stopped
     }
 
     /// Returns the process of a system's supply, if it is alive.
     fn supply(&self, system: SystemId) -> Option<Pid> {
-        let is_supply = |process: &Process| {
-            process.system == Some(system) && process.kind == process_list::ProcessKind::Supply
-        };
-        let pid = process_list::of_run(&self.run)
-            .into_iter()
-            .find(is_supply)?
-            .pid;
-        i32::try_from(pid).ok().and_then(Pid::from_raw)
+        self.process(system, |kind| kind == ProcessKind::Supply)
+    }
+
+    /// Returns this process of a system, if it is alive: its number here, which is another one
+    /// than in the run if that has processes of its own.
+    fn process(&self, system: SystemId, is_it: fn(ProcessKind) -> bool) -> Option<Pid> {
+        let all = process_list::of_run(&self.run).into_iter();
+        let mut found = all.filter(|it| it.system == Some(system) && is_it(it.kind));
+        i32::try_from(found.next()?.pid)
+            .ok()
+            .and_then(Pid::from_raw)
     }
 
     /// Overwrites the whole LMU of a system, as a faulty core might. `seed` determines the words.
@@ -212,8 +220,9 @@ impl Injection {
     /// # Errors
     /// [`InjectionError::Lmu`].
     pub fn scribble(&self, system: SystemId, seed: u32) -> Result<(), InjectionError> {
+        let lmu = memory::open_lmu(&self.run, system)?;
         self.backplane.note(system, Deed::Scribble);
-        scribble(memory::open_lmu(&self.run, system)?, seed);
+        scribble(lmu, seed);
         Ok(())
     }
 

@@ -150,6 +150,8 @@ const NODE_STEP_M: f32 = 4.0;
 const SHARP_M: f32 = 8.0;
 /// Distance between two places at which the line's bend is taken, m.
 const BEND_STEP_M: f32 = 4.0;
+/// No view is longer, m.
+const VIEW_MOST_M: f32 = 260.0;
 /// x of the first node, m.
 const FIRST_NODE_M: f32 = -100.0;
 
@@ -250,7 +252,8 @@ impl FrenetFrame {
     ) -> (f32, f32) {
         let (mut square, mut least) = (f32::INFINITY, f32::INFINITY);
         let (mut ahead, mut x) = (0.0, self.x_of(from));
-        while x <= self.line.end {
+        // A steep line has more arc length than its view has metres.
+        while x <= self.line.end && ahead <= VIEW_MOST_M {
             let bend = max(abs(self.line.curvature(x)), 1e-5);
             let in_it = lateral * (1.0 - SHARP_M * bend) / bend;
             let before = in_it + 2.0 * braking * max(ahead - near, 0.0);

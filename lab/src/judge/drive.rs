@@ -354,15 +354,17 @@ impl Seen {
             self.picture.hit_at = Some(now.pose.position);
         }
         let last_s = self.moments.last().map_or(-MOMENT_S, |it| it.time_s);
-        if !now.running || (!begins && now.time_s < last_s + MOMENT_S - 1e-9) {
-            return;
-        }
-        let caused = if begins {
+        // Also while another contact lasts.
+        let caused = if now.collides {
             world.metrics().collisions_by_ego
         } else {
             self.caused
         };
         let hits = caused > self.caused;
+        let is_event = begins || hits;
+        if !now.running || (!is_event && now.time_s < last_s + MOMENT_S - 1e-9) {
+            return;
+        }
         self.caused = caused;
         let vehicles = now.vehicles.iter().map(|it| User {
             id: it.id,

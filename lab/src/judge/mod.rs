@@ -79,7 +79,8 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
         });
         place.fill(&solved.collect::<Vec<_>>())?;
     }
-    if let Some(out) = out.filter(|out| out.path().join(REPORT).exists()) {
+    let is_driven = judged.iter().all(|it| it.verdict != Verdict::Refused);
+    if let Some(out) = out.filter(|_| is_driven) {
         eprintln!("report: {}", out.path().join(REPORT).display());
     }
     let broken: Vec<String> = judged.iter().filter_map(Judgement::objection).collect();

@@ -6,6 +6,7 @@
 //! the drive, and nothing of what the driving functions computed. Decision 0047 has the reasons of
 //! the parameters.
 
+use std::f64::consts::FRAC_PI_2;
 use std::fmt;
 
 use serde::Serialize;
@@ -58,6 +59,8 @@ const FAR_M: f64 = 200.0;
 const SAME_DANGER_S: f64 = 0.5;
 /// A slower vehicle stands, m/s.
 const STANDING: f64 = 0.1;
+/// A road user that is faster than this against the vehicle's lane comes towards it, m/s.
+const COMES: f64 = 1.0;
 /// Recorded accelerations are this uncertain, m/s².
 const UNCERTAIN: f64 = 0.5;
 
@@ -324,14 +327,27 @@ fn collision(moments: &[Moment], hit: usize, other: &User, road: &Road) -> Colli
         }
     }
     let at_begin = relation(begin);
+    // A danger that begins from the side is of whom approaches: who steers there need not.
+    let before = begin.checked_sub(1).and_then(relation);
+    let towards = match &at_begin {
+        Some(first) if before.is_some_and(|it| !it.is_near_aside()) => {
+            let [own, others] = first.towards;
+            let bound = OWN.lat_accel_max * OWN.response_s;
+            [own > others.max(bound), others > own]
+        }
+        _ => [false; 2],
+    };
+    // Who comes is wrong unless it is in a lane of its own direction.
+    let comes = at_begin.as_ref().is_some_and(|it| it.along < -COMES);
+    let comes = comes && !keeps_its_lane(road, &moments[begin], other.id);
     Collision {
         at_s: moments[hit].time_s,
         other: other.id,
         danger_from_s: moments[begin].time_s,
         gap_m: at_begin.map_or(0.0, |it| it.gap_m),
         safe_gap_m: at_begin.map_or(0.0, |it| it.safe_gap_m),
-        avoidable: is_avoidable(&moments[begin..], other.id),
-        broke: who_broke(moments, [begin, hit], &relation),
+        avoidable: is_avoidable(&moments[begin..], other.id) || towards[0],
+        broke: who_broke(moments, [begin, hit], (towards, comes), &relation),
     }
 }
 
@@ -378,10 +394,24 @@ fn at(path: &[(f64, Pose)], way: f64) -> Pose {
     path[after.min(path.len() - 1)].1
 }
 
+/// Returns whether the centre of a road user is in a lane of its own direction.
+fn keeps_its_lane(road: &Road, moment: &Moment, other: i64) -> bool {
+    let Some(other) = moment.others.iter().find(|it| it.id == other) else {
+        return false;
+    };
+    let pose = other.footprint.pose;
+    let (lane, place) = road.locate(pose.position, pose.yaw);
+    let lane = road.lane(lane);
+    let along = wrap_angle(lane.at(place.s).heading - pose.yaw).abs() < FRAC_PI_2;
+    along && lane.exists_at(place.s) && place.d.abs() <= 0.5 * lane.at(place.s).width
+}
+
 /// Finds who did not respond as the paper asks, from the beginning of the danger to the collision.
+/// Who steered towards the other, or came in a lane of the other direction, did not.
 fn who_broke(
     moments: &[Moment],
     [begin, hit]: [usize; 2],
+    ([own_steers, other_steers], comes): ([bool; 2], bool),
     relation: &dyn Fn(usize) -> Option<Relation>,
 ) -> Broke {
     let (Some(first), begin_s) = (relation(begin), moments[begin].time_s) else {
@@ -395,8 +425,8 @@ fn who_broke(
     };
     let own_rate = |index| rate(index, &|at| Some(moments[at].own.speed));
     let other_rate = |index| rate(index, &|at| relation(at).map(|it| it.along));
-    let mut vehicle = false;
-    let mut other = false;
+    let mut vehicle = own_steers;
+    let mut other = other_steers || comes;
     for (index, moment) in moments.iter().enumerate().take(hit + 1).skip(begin) {
         let since_s = moment.time_s - begin_s;
         let own = own_rate(index).unwrap_or(0.0);
@@ -409,14 +439,6 @@ fn who_broke(
         }
         other |= other_rate(index).is_some_and(|it| it < -(BRAKE_MAX + UNCERTAIN));
     }
-    // A danger that begins from the side is of whom approaches.
-    let before = begin.checked_sub(1).and_then(relation);
-    if before.is_some_and(|it| !it.is_near_aside()) {
-        let [own, others] = first.towards;
-        vehicle |= own > others.max(OWN.lat_accel_max * OWN.response_s);
-        other |= others > own;
-    }
-    other |= first.along < -STANDING;
     match (vehicle, other) {
         (true, true) => Broke::Both,
         (true, false) => Broke::Vehicle,
@@ -428,6 +450,7 @@ fn who_broke(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::f64::consts::PI;
     use tandem_vehicle::Scenario;
 
     /// Values of a program of others, Intel's ad-rss-lib: two that meet at 100 km/h need 365.55 m,
@@ -473,6 +496,11 @@ mod tests {
     /// A drive on the straight road of a scenario: at each 20 ms the vehicle's way and speed, and
     /// the other's way, aside, speed and direction. It hits where the outlines first overlap.
     fn drive(states: impl Iterator<Item = ([f64; 2], [f64; 4])>) -> Rss {
+        steer(states.map(|([way, speed], other)| ([way, 0.0, speed, 0.0], other)))
+    }
+
+    /// The same, with the vehicle's places and headings too.
+    fn steer(states: impl Iterator<Item = ([f64; 4], [f64; 4])>) -> Rss {
         let scenario = Scenario::load("parking").unwrap();
         let road = scenario.road();
         let lane = LaneId(0);
@@ -494,8 +522,9 @@ mod tests {
             }
         };
         let mut moments: Vec<Moment> = Vec::new();
-        for (step, ([way, speed], other)) in states.enumerate() {
-            let (own, other) = (user(0, [way, 0.0, speed, 0.0]), user(7, other));
+        for (step, (own, other)) in states.enumerate() {
+            let station = start + own[0];
+            let (own, other) = (user(0, own), user(7, other));
             let touches = own.footprint.overlaps(&other.footprint);
             let touched = moments
                 .last()
@@ -504,7 +533,7 @@ mod tests {
                 time_s: step as f64 * 0.02,
                 own,
                 lane,
-                station: start + way,
+                station,
                 others: vec![other],
                 hits: touches && !touched,
             });
@@ -592,5 +621,38 @@ mod tests {
         };
         assert!(!hit.avoidable && hit.broke == Broke::Other, "{hit}");
         assert!((hit.danger_from_s - 1.0).abs() < 0.03, "{hit}");
+    }
+
+    /// Both have the same speed, side by side, and the vehicle steers into the other with 1.5 m/s.
+    #[test]
+    fn one_that_steers_into_another_could_have_avoided_it() {
+        let rss = steer((0..STEPS).map(|step| {
+            let t = f64::from(step) * 0.02;
+            let since = (t - 1.0).max(0.0);
+            let turned = if since > 0.0 { 0.075 } else { 0.0 };
+            (
+                [20.0 * t, 1.5 * since, 20.0, turned],
+                [20.0 * t, 3.5, 20.0, 0.0],
+            )
+        }));
+        let [hit, ..] = rss.collisions[..] else {
+            panic!("{rss:?}")
+        };
+        assert!(hit.avoidable && hit.broke == Broke::Vehicle, "{hit}");
+    }
+
+    /// One comes in the vehicle's lane, which brakes as the paper asks.
+    #[test]
+    fn one_that_comes_in_the_wrong_lane_breaks_the_rule() {
+        let rss = drive((0..STEPS).map(|step| {
+            let t = f64::from(step) * 0.02;
+            let since = (t - 0.5).clamp(0.0, 2.5);
+            let way = 20.0 * t.min(0.5) + 20.0 * since - 4.0 * since * since;
+            ([way, 20.0 - 8.0 * since], [60.0 - 15.0 * t, 0.0, 15.0, PI])
+        }));
+        let [hit, ..] = rss.collisions[..] else {
+            panic!("{rss:?}")
+        };
+        assert!(hit.broke == Broke::Other, "{hit}");
     }
 }

@@ -554,7 +554,7 @@ fn choose_profile(
             let is_in_the_way = !is_aside && !passed;
             if is_in_the_way && !is_beside {
                 corridor.limit(step, bound, speed);
-                if object.crosses() && bound < braking_way {
+                if object.crosses() && bound > 0.0 && bound < braking_way {
                     stands = stands.or(Some(bound));
                 }
             } else if is_sought || is_in_the_way {
