@@ -2,6 +2,7 @@
 //! recording and its report.
 #![forbid(unsafe_code)]
 
+mod alone;
 pub mod args;
 pub mod beside;
 pub mod board_kind;
@@ -76,7 +77,7 @@ fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
             match &config.demo {
                 Some(files) => boot_demo::play(&args, files),
                 None => vehicle::run(&args, &config).and_then(|is_alone| match is_alone {
-                    true => run::report_alone(&args.common.run, &config),
+                    true => alone::report_alone(&args.common.run, &config),
                     false => Ok(()),
                 }),
             }

@@ -5,15 +5,11 @@ use std::net::UdpSocket;
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::thread;
-use std::time::Instant;
 
 use anyhow::{Context as _, bail};
-use rustix::process::{Pid, Signal, kill_process};
 use tandem_board::{CoreAddress, Duration, SystemId};
 use tandem_board_host::injection::Injection;
-use tandem_board_host::process_list;
-use tandem_board_host::realtime::{Claim, Grant, claim, give_back};
+use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
     CoreArgs, Ended, LaunchPlan, Launcher, Leftovers, Pinning, ProcessArgs, RunName, Schedule,
 };
@@ -45,8 +41,6 @@ use crate::{summary, topics};
 
 /// Duration for which `--timing auto` measures the stalls of the machine.
 const MEASURED_FOR: Duration = Duration::from_ms(500);
-/// Time for the processes of a run to end without power.
-const POWERED_DOWN: std::time::Duration = std::time::Duration::from_millis(500);
 /// Upper bound of the delay of the processes' timers.
 const TIMERS_LATE: Duration = Duration::from_ms(2);
 
@@ -111,48 +105,6 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
         ended.interrupted,
         updates,
     )
-}
-
-/// Writes the report of this run in the process of the vehicle, because the process that had
-/// started the run has died. Does nothing if that process would not have written one.
-///
-/// # Errors
-/// If the run left no recording, or the folder cannot be written.
-pub fn report_alone(run: &RunName, config: &RunConfig) -> anyhow::Result<()> {
-    // Nothing depends on this process any longer: it must not keep others from running.
-    give_back();
-    end_others(run);
-    let Some(LastReport { out, granted }) = &config.report else {
-        return Ok(());
-    };
-    let out = ReportFolder::check(out)?;
-    let collected = Collected::new(&out, &RunFiles::of(run), &|| "ended alone".to_owned())?;
-    // As if it had been interrupted: without a drive an older report stays.
-    if collected.log.driven_s() <= 0.0 {
-        return Ok(());
-    }
-    let around = surroundings(config, granted.clone()).after_launcher();
-    collected.write(&out, &around).map(drop)
-}
-
-/// Kills the processes that have not ended with their power: one that is stopped does not see that
-/// the ignition is off.
-fn end_others(run: &RunName) {
-    let own = std::process::id();
-    let others = || {
-        process_list::of_run(run)
-            .into_iter()
-            .filter(|it| it.pid != own)
-    };
-    let until = Instant::now() + POWERED_DOWN;
-    while others().next().is_some() && Instant::now() < until {
-        thread::sleep(POWERED_DOWN / 10);
-    }
-    for other in others() {
-        let pid = i32::try_from(other.pid).ok().and_then(Pid::from_raw);
-        // It may have ended since.
-        let _ = pid.map(|pid| kill_process(pid, Signal::KILL));
-    }
 }
 
 /// Returns the configuration that the command line describes, without program flashes and without
@@ -382,7 +334,7 @@ impl Surroundings {
     }
 
     /// The same after a run whose launcher has died. It alone had seen which stalls there were.
-    fn after_launcher(self) -> Self {
+    pub(crate) fn after_launcher(self) -> Self {
         let beside = Beside {
             watch: Watch::Ordinary,
             ..self.beside

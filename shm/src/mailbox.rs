@@ -86,8 +86,8 @@ const fn handled_at(index: usize) -> usize {
 const NUMBER_SHIFT: u32 = 5;
 /// The index in the first post of a new sender: it posts no signal.
 const NO_TASK: u32 = TASKS as u32;
-/// The counts do not add up to the post: words were overwritten, or the last signal is posted and not
-/// yet counted. Which one cannot be told, so each poll compares.
+/// The counts do not add up to the post: words were overwritten, or the last signal is posted and
+/// not yet counted. Which one cannot be told, so each poll compares.
 const DIFFERS: usize = TASKS + 1;
 
 /// Returns the next posted word, without an index.
