@@ -35,8 +35,6 @@ use thiserror::Error;
 
 mod policies;
 mod reader;
-#[cfg(test)]
-mod tests;
 
 use policies::{Items, Key, Kind, UNLIMITED};
 

@@ -1,6 +1,8 @@
 //! Profiles in XML against the document, a brute-force model, and the reader of Cyclone DDS.
 #![allow(clippy::unwrap_used)]
 
+mod wrong_files;
+
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::Write as _;

@@ -1,36 +1,15 @@
 //! What is accepted, and what each wrong file is told.
-#![allow(clippy::unwrap_used)]
 
-use tandem_topics::{Durability, Qos, Reliability};
+use tandem_qos_profiles::{FILE_MAX, LookupError, Profiles};
+use tandem_topics::{Qos, Reliability};
 
-use super::{FILE_MAX, LookupError, Profiles};
-
-/// What the standard gives to a writer that sets nothing. (DDS 1.4, 2.2.3)
-const WRITER: Qos = Qos {
-    reliability: Reliability::Reliable,
-    durability: Durability::Volatile,
-    depth: 1,
-};
-/// The same for a reader.
-const READER: Qos = Qos {
-    reliability: Reliability::BestEffort,
-    ..WRITER
-};
-
-/// Returns a file with these elements in the library `L`; they begin in line 3.
-fn library(elements: &str) -> String {
-    format!("<dds>\n<qos_library name=\"L\">\n{elements}\n</qos_library>\n</dds>\n")
-}
+use crate::{READER, WRITER, library, load};
 
 /// Returns a file with these policies in the writer of the profile `P`; they begin in line 5.
 fn writer(policies: &str) -> String {
     library(&format!(
         "<qos_profile name=\"P\">\n<datawriter_qos>\n{policies}\n</datawriter_qos>\n</qos_profile>"
     ))
-}
-
-fn load(text: &str) -> Profiles {
-    Profiles::load(text, "p.xml").unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
 /// What no layer sets has the default of the standard. `<topic_qos>` has no effect.
