@@ -430,7 +430,7 @@ impl<'a> Receiver<'a> {
     #[must_use = "if signals are there, sleeping would miss them"]
     pub fn prepare_sleep(&mut self) -> bool {
         self.words[ASLEEP_AT].store(1, Ordering::Relaxed);
-        // SeqCst pairs with the fence in `look_for_sleeper`.
+        // SeqCst pairs with the fence in `send`.
         fence(Ordering::SeqCst);
         let posted = self.words[POSTED_AT].load(Ordering::Relaxed);
         if self.compare_from >= TASKS && posted == self.posted {

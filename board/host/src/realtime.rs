@@ -119,20 +119,22 @@ fn may_lock() -> bool {
 }
 
 fn set_fifo(priority: u8) -> bool {
-    let param = libc::sched_param {
-        sched_priority: libc::c_int::from(priority),
-    };
     // Threads and processes that this thread starts do not inherit the policy.
-    let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
-    // SAFETY: `param` is a valid `sched_param` during the call; 0 means the calling thread.
-    unsafe { libc::sched_setscheduler(0, policy, &raw const param) == 0 }
+    set_policy(libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK, priority)
 }
 
 /// Gives the real-time priority of the calling thread back. Returns whether it has none now.
 pub fn give_back() -> bool {
-    let param = libc::sched_param { sched_priority: 0 };
+    set_policy(libc::SCHED_OTHER, 0)
+}
+
+/// Sets the scheduling of the calling thread. Returns whether the kernel permits it.
+fn set_policy(policy: libc::c_int, priority: u8) -> bool {
+    let param = libc::sched_param {
+        sched_priority: libc::c_int::from(priority),
+    };
     // SAFETY: `param` is a valid `sched_param` during the call; 0 means the calling thread.
-    unsafe { libc::sched_setscheduler(0, libc::SCHED_OTHER, &raw const param) == 0 }
+    unsafe { libc::sched_setscheduler(0, policy, &raw const param) == 0 }
 }
 
 #[inline(never)]
