@@ -274,6 +274,12 @@ pub fn run() -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Publishes an event of the vehicle about this system.
+fn tell(publisher: &mut Publisher, at_ns: u64, system: u8, what: &str) {
+    let event = Event::new(at_ns, system, Event::VEHICLE, what);
+    let _ = publisher.trace.publish(&event);
+}
+
 /// Converts the entries of a recording to messages for observers.
 struct News {
     roles: Roles,
@@ -353,14 +359,8 @@ impl News {
             }
             Entry::Frame(frame) => {
                 for what in self.judge(frame) {
-                    let (at_ns, system) = (frame.at.as_ns(), self.roles.obeyed);
-                    let event = Event::new(
-                        at_ns,
-                        system,
-                        Event::VEHICLE,
-                        &format!("the vehicle {what}"),
-                    );
-                    let _ = publisher.trace.publish(&event);
+                    let (at_ns, obeyed) = (frame.at.as_ns(), self.roles.obeyed);
+                    tell(publisher, at_ns, obeyed, &format!("the vehicle {what}"));
                 }
                 let _ = publisher.can.publish(&of_frame(frame));
             }
@@ -383,20 +383,11 @@ impl News {
                     if let Some(of) = self.roles.cuts.get_mut(usize::from(*system)) {
                         *of = *cuts;
                     }
-                    let _ =
-                        publisher
-                            .trace
-                            .publish(&Event::new(*at_ns, *system, Event::VEHICLE, what));
+                    tell(publisher, *at_ns, *system, what);
                 }
                 VehicleRecord::Collision { at_ns } => {
-                    let system = self.roles.obeyed;
-                    let event = Event::new(
-                        *at_ns,
-                        system,
-                        Event::VEHICLE,
-                        "the vehicle has a collision",
-                    );
-                    let _ = publisher.trace.publish(&event);
+                    let obeyed = self.roles.obeyed;
+                    tell(publisher, *at_ns, obeyed, "the vehicle has a collision");
                 }
                 _ => {}
             },

@@ -19,10 +19,6 @@ use crate::run_config::RunConfig;
 use crate::update::Update;
 use crate::world_record;
 
-/// Ticks between two records of the world's state, of the other vehicles, and of the road.
-const SAMPLE_TICKS: u64 = 20;
-const OTHERS_TICKS: u64 = 100;
-const ROAD_TICKS: u64 = 5_000;
 /// Ticks between two hand-overs of collected records to the recorder.
 const HAND_OVER_TICKS: u64 = 100;
 /// A period that begins later than this counts as delayed, ns.
@@ -359,15 +355,8 @@ where
     }
 
     fn sample(&mut self, now_ns: u64) {
-        let snapshot = self.world.snapshot();
-        if self.ticks.is_multiple_of(ROAD_TICKS) || snapshot.time_s <= 0.0015 {
-            let road = world_record::road_piece(&self.world, now_ns);
-            self.recorder.record(VehicleRecord::Road(road));
-        }
-        if self.ticks.is_multiple_of(SAMPLE_TICKS) {
-            let others = self.ticks.is_multiple_of(OTHERS_TICKS);
-            let sample = world_record::sample(&self.world, now_ns, others);
-            self.recorder.record(VehicleRecord::Sample(sample));
+        for record in world_record::at_tick(&self.world, now_ns, self.ticks) {
+            self.recorder.record(record);
         }
     }
 

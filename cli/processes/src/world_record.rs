@@ -1,6 +1,6 @@
 //! Converts the state of the world to entries of a recording.
 
-use tandem_record::log::{Comfort, DriveFigures, Lane, Other, RoadPiece, Sample};
+use tandem_record::log::{Comfort, DriveFigures, Lane, Other, RoadPiece, Sample, VehicleRecord};
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road};
 use tandem_vehicle::{VehicleSnapshot, World, WorldMetrics};
@@ -11,6 +11,12 @@ const ROAD_AHEAD_M: f64 = 400.0;
 const ROAD_STEP_M: f64 = 4.0;
 /// Lanes farther to the side belong to other roads, m.
 const ROAD_ASIDE_M: f64 = 30.0;
+/// Ticks between two records of the world's state, of the other vehicles, and of the road.
+const SAMPLE_TICKS: u64 = 20;
+const OTHERS_TICKS: u64 = 100;
+const ROAD_TICKS: u64 = 5_000;
+/// The road is also recorded in the first tick of a drive, until this time, s.
+const FIRST_S: f64 = 0.0015;
 
 /// Converts the vehicle's own figures.
 #[must_use]
@@ -70,9 +76,19 @@ pub fn sample(world: &World, at_ns: u64, others: bool) -> Sample {
     }
 }
 
+/// Returns what is recorded of a world that runs, at this tick of a millisecond and time, ns: the
+/// road and the state, each where it is due.
+pub fn at_tick(world: &World, at_ns: u64, tick: u64) -> impl Iterator<Item = VehicleRecord> {
+    let is_due = |ticks| tick.is_multiple_of(ticks);
+    let road = is_due(ROAD_TICKS) || world.snapshot().time_s <= FIRST_S;
+    let road = road.then(|| VehicleRecord::Road(road_piece(world, at_ns)));
+    let state = is_due(SAMPLE_TICKS)
+        .then(|| VehicleRecord::Sample(sample(world, at_ns, is_due(OTHERS_TICKS))));
+    road.into_iter().chain(state)
+}
+
 /// Converts the road around the ego vehicle at this time, ns.
-#[must_use]
-pub fn road_piece(world: &World, at_ns: u64) -> RoadPiece {
+fn road_piece(world: &World, at_ns: u64) -> RoadPiece {
     let lanes = lanes(world.road(), world.snapshot().pose.position);
     RoadPiece { at_ns, lanes }
 }

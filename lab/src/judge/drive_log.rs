@@ -13,11 +13,6 @@ use tandem_vehicle::{LoggedFrame, World};
 
 use crate::sim::recording::around;
 
-/// Ticks of a millisecond between two records of the vehicle, of the others, and of the road.
-const SAMPLE_TICKS: u64 = 20;
-const OTHERS_TICKS: u64 = 100;
-const ROAD_TICKS: u64 = 5_000;
-
 /// What a report needs of a drive.
 #[derive(Debug, Default)]
 pub(super) struct Recording {
@@ -74,13 +69,8 @@ impl Recording {
                 let at_ns = now.accepted.map_or(at_ns, |accepted| accepted.at_ns);
                 self.push(VehicleRecord::Start { at_ns });
             }
-            if self.ticks.is_multiple_of(ROAD_TICKS) {
-                self.push(VehicleRecord::Road(world_record::road_piece(world, at_ns)));
-            }
-            if self.ticks.is_multiple_of(SAMPLE_TICKS) {
-                let others = self.ticks.is_multiple_of(OTHERS_TICKS);
-                let sample = world_record::sample(world, at_ns, others);
-                self.push(VehicleRecord::Sample(sample));
+            for record in world_record::at_tick(world, at_ns, self.ticks) {
+                self.push(record);
             }
             self.ticks += 1;
         }
