@@ -132,8 +132,13 @@ pub(crate) struct JudgeArgs {
 
     /// Make this many scenarios of the classes that recorded roads lack, from --seed, and judge
     /// them; with DIR, write them there as files, and judge nothing
-    #[arg(long, value_name = "N", conflicts_with_all = ["html", "solutions", "out"])]
-    pub(crate) variants: Option<std::num::NonZero<usize>>,
+    #[arg(
+        long,
+        value_name = "N",
+        value_parser = clap::value_parser!(u32).range(1..=100_000),
+        conflicts_with_all = ["html", "solutions", "out"]
+    )]
+    pub(crate) variants: Option<u32>,
 
     /// How long to drive each scenario, in scenario time: 20, 20s, 1m
     #[arg(long, value_name = "TIME", default_value = "20s", value_parser = tandem::args::parse_duration)]

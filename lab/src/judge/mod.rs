@@ -31,14 +31,17 @@ use tandem::output::{REPORT, ReportFolder};
 pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     let place = args.folder.as_deref();
     if let Some(count) = args.variants {
-        let made = variants::variants(count.get(), args.seed);
+        let made = || variants::variants(count, args.seed);
         return match place {
+            Some(_) if args.json.is_some() => Err(Failure::Usage(anyhow!(
+                "--variants with DIR judges nothing: leave out --json, or DIR"
+            ))),
             Some(folder) => {
                 let place = OutputFolder::check("DIR", folder).map_err(Failure::usage)?;
                 let file = |it: variants::Variant| (format!("{}.xml", it.name), it.text);
-                Ok(place.fill(&made.into_iter().map(file).collect::<Vec<_>>())?)
+                Ok(place.fill(&made().into_iter().map(file).collect::<Vec<_>>())?)
             }
-            None => judge_variants(args, made),
+            None => judge_variants(args, made()),
         };
     }
     let (folder, files) = files_at(place.unwrap_or(Path::new(""))).map_err(Failure::Usage)?;

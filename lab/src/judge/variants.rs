@@ -81,8 +81,10 @@ pub(super) struct Variant {
 }
 
 /// Returns `count` variants, the classes in turn. A seed and a number always give the same one.
-pub(super) fn variants(count: usize, seed: u64) -> Vec<Variant> {
-    (0..count).map(|number| variant(number, seed)).collect()
+pub(super) fn variants(count: u32, seed: u64) -> Vec<Variant> {
+    (0..count as usize)
+        .map(|number| variant(number, seed))
+        .collect()
 }
 
 fn variant(number: usize, seed: u64) -> Variant {
@@ -212,7 +214,7 @@ fn end_beside_traffic(file: &mut File, draw: &mut Drawn) -> String {
     file.ending(&path, known, 1_100.0, "highway", "");
     file.start(speed, speed);
     let spacing = gap + 4.5;
-    let mut s = -150.0 + spacing * shift;
+    let mut s = BEGIN_M + spacing * shift;
     while s < 350.0 {
         let track = Track::new(s, WIDTH_M, speed).held(RECORDED_S);
         file.user("car", (4.5, 1.8), &path, &track);
