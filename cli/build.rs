@@ -6,7 +6,7 @@ use std::io::Write as _;
 use std::thread::available_parallelism;
 
 /// CPU time of a first build, s (docs/performance.md), and the least that it takes with many CPUs.
-const CPU_S: usize = 125;
+const CPU_S: usize = 110;
 const ALONE_S: usize = 30;
 
 fn main() {
