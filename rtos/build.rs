@@ -42,6 +42,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     // Links the whole archive: the trap handlers in shim.c replace weak ones.
     build.link_lib_modifier("+whole-archive");
     build.try_compile("tandem_freertos")?;
+    // For the test that builds the kernel for FreeRTOS's standard demo tasks.
+    println!(
+        "cargo::rustc-env=TANDEM_FREERTOS_KERNEL={}",
+        kernel.display()
+    );
     // A benchmark that builds the kernel with another port reads this variable.
     println!("cargo::metadata=KERNEL={}", kernel.display());
     Ok(())
