@@ -13,6 +13,9 @@ pub(crate) fn test(root: &Path) -> Result<()> {
     if std::env::var_os("TANDEM_SCENARIOS").is_none() {
         println!("SKIPPED: recorded scenarios (TANDEM_SCENARIOS=FOLDER is not set)");
     }
+    if std::env::var_os("TANDEM_FREERTOS").is_none() {
+        println!("SKIPPED: FreeRTOS's standard demo tasks (TANDEM_FREERTOS=FOLDER is not set)");
+    }
     run(cargo(root, &["build", "--workspace", "--all-targets"]))?;
     let nextest = cargo(root, &["nextest", "--version"]).output();
     let commands: &[&[&str]] = if nextest.is_ok_and(|output| output.status.success()) {
