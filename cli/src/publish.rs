@@ -26,7 +26,7 @@ use tandem_bus::{Message, RoleCode};
 use tandem_cores::trace;
 use tandem_observers::{ChainedClock, Event, Frame, Publisher, Roles, Vehicle, VehicleClocks};
 use tandem_processes::files::RunFiles;
-use tandem_processes::percentiles::Spans;
+use tandem_processes::observed;
 use tandem_processes::run_config::{LimitProfile, RunConfig};
 use tandem_record::clocks::{ChainClock, TimeLog};
 use tandem_record::happenings::Obeyed;
@@ -179,8 +179,10 @@ impl Publishing {
 struct Growing {
     path: PathBuf,
     file: Option<File>,
-    /// What is not sent yet.
+    /// The part of an entry at the end.
     left: Vec<u8>,
+    /// What is not sent yet.
+    unsent: Vec<u8>,
 }
 
 impl Growing {
@@ -189,23 +191,26 @@ impl Growing {
             path,
             file: None,
             left: Vec::new(),
+            unsent: Vec::new(),
         }
     }
 
-    /// Reads what was added, and sends whole entries to the publisher. Returns how much was added.
+    /// Reads what was added, and sends what observers need of it to the publisher, in whole entries.
+    /// Returns how much was added.
     fn hand_over(&mut self, to: &UnixDatagram) -> usize {
         if self.file.is_none() {
             self.file = File::open(&self.path).ok();
         }
         let Some(file) = &mut self.file else { return 0 };
         let more = file.take(READ_MAX as u64).read_to_end(&mut self.left);
-        while let Some(end) = file::whole_entries(&self.left, MESSAGE_MAX) {
+        observed::select(&mut self.left, &mut self.unsent);
+        while let Some(end) = file::whole_entries(&self.unsent, MESSAGE_MAX) {
             if end <= MESSAGE_MAX {
                 // A publisher that is too slow loses these entries. If it has ended, the error is
                 // harmless.
-                let _ = to.send(&self.left[..end]);
+                let _ = to.send(&self.unsent[..end]);
             }
-            self.left.drain(..end);
+            self.unsent.drain(..end);
         }
         more.unwrap_or(0)
     }
@@ -264,10 +269,10 @@ pub fn run() -> anyhow::Result<()> {
     let mut publisher = Publisher::create(&begin.run.parse()?)?;
     let mut news = News::new(begin.duration_s);
     while let Some(entries) = next() {
-        file::parse(&entries, |entry| news.take(&entry, &mut publisher))?;
+        observed::read(&entries, &mut |entry| news.take(&entry, &mut publisher))?;
         // What cannot be published is lost for observers only; so are the values below.
         let _ = publisher.roles.publish(&news.roles());
-        if let Some(time) = news.time() {
+        if let Some(time) = news.time(publisher.time.is_observed()) {
             let _ = publisher.time.publish(&time);
         }
     }
@@ -326,8 +331,8 @@ impl News {
         }
     }
 
-    /// Returns the vehicle's time if it is to be published.
-    fn time(&mut self) -> Option<VehicleClocks> {
+    /// Returns the vehicle's time if it is to be published, and is observed.
+    fn time(&mut self, is_observed: bool) -> Option<VehicleClocks> {
         let at_ns = self.roles.at_ns;
         if at_ns < self.time_ns + TIME_NS {
             return None;
@@ -335,7 +340,7 @@ impl News {
         self.time_ns = at_ns;
         let from_ns = at_ns.saturating_sub(TIME_SPAN_NS);
         self.time.forget(from_ns);
-        Some(of_time(&self.time, at_ns, from_ns))
+        is_observed.then(|| of_time(&self.time, at_ns, from_ns))
     }
 
     fn take(&mut self, entry: &Entry, publisher: &mut Publisher) {
@@ -343,7 +348,8 @@ impl News {
         match entry {
             Entry::Trace(traced) => {
                 let of = CoreAddress::new(traced.system, traced.core);
-                self.seen_ns[of.index()] = traced.at.as_ns();
+                let seen_ns = &mut self.seen_ns[of.index()];
+                *seen_ns = traced.at.as_ns().max(*seen_ns);
                 let event = trace::Event::decode(traced.record);
                 if let Some(text) = event.and_then(description::core_event) {
                     let (system, core) = (traced.system.index() as u8, traced.core.index() as u8);
@@ -460,16 +466,20 @@ fn of_time(log: &TimeLog, at_ns: u64, from_ns: u64) -> VehicleClocks {
             reserved: 0,
         }
     };
-    let skews = log.skews();
-    let skews = Spans::from_ms(skews.iter().map(|(_, by_ns)| by_ns.abs() as f64 * 1e-6));
-    let skew_ns = |percent| (skews.percentile_ms(percent).unwrap_or(0.0) * 1e6) as u32;
+    // Sorted: a histogram of such spans is 4 MB, ten times a second.
+    let mut skews: Vec<u64> = log.skews().iter().map(|it| it.1.unsigned_abs()).collect();
+    skews.sort_unstable();
+    let skew_ns = |percent: usize| {
+        let rank = (skews.len() * percent).div_ceil(100);
+        skews.get(rank.saturating_sub(1)).map_or(0, |ns| *ns as u32)
+    };
     VehicleClocks {
         at_ns,
         clocks: ChainClock::ALL.map(clock),
         apart_ns: log.apart().last().map_or(i32::MIN, |(_, by_ns)| *by_ns),
-        cycles: skews.count() as u32,
-        skew_p50_ns: skew_ns(50.0),
-        skew_p99_ns: skew_ns(99.0),
+        cycles: skews.len() as u32,
+        skew_p50_ns: skew_ns(50),
+        skew_p99_ns: skew_ns(99),
         sensors: log
             .sensors(from_ns)
             .map(|it| it.map_or(u8::MAX, |it| it as u8)),

@@ -65,7 +65,7 @@ const SUPPLY: u8 = 2;
 const FRAME: u8 = 3;
 const VEHICLE: u8 = 4;
 /// Size of an [`Entry::Trace`] in the file, bytes.
-pub const TRACE_BYTES: u64 = 4 + 1 + 1 + 8 + 16;
+pub const TRACE_BYTES: u64 = 4 + 1 + RECORD as u64;
 
 impl From<VehicleRecord> for Entry {
     fn from(record: VehicleRecord) -> Self {
@@ -80,7 +80,7 @@ impl Entry {
     /// Returns the errors of the writer.
     pub fn write(&self, into: &mut impl Write) -> io::Result<()> {
         let (kind, content) = match self {
-            Self::Trace(traced) => (TRACE, trace_bytes(traced)),
+            Self::Trace(traced) => return write_entry(into, TRACE, &trace_bytes(traced)),
             Self::Supply(at, system, event) => (SUPPLY, {
                 let mut bytes = vec![system.index() as u8];
                 bytes.extend(at.as_ns().to_le_bytes());
@@ -90,23 +90,14 @@ impl Entry {
             Self::Frame(frame) => (FRAME, frame_bytes(frame)),
             Self::Vehicle(record) => (VEHICLE, serde_json::to_vec(record)?),
         };
-        into.write_all(&(1 + content.len() as u32).to_le_bytes())?;
-        into.write_all(&[kind])?;
-        into.write_all(&content)
+        write_entry(into, kind, &content)
     }
 
+    #[inline] // into an optimised crate: this one is not, and a run has thousands a second
     fn read(kind: u8, content: &[u8]) -> Option<Self> {
         let mut bytes = Bytes(content);
         Some(match kind {
-            TRACE => {
-                let [source] = bytes.take()?;
-                Self::Trace(Traced {
-                    system: SystemId::from_index(usize::from(source) / CoreId::COUNT)?,
-                    core: CoreId::new(source % CoreId::COUNT as u8)?,
-                    at: bytes.instant()?,
-                    record: bytes.record()?,
-                })
-            }
+            TRACE => Self::Trace(bytes.traced()?),
             SUPPLY => {
                 let [system] = bytes.take()?;
                 let system = SystemId::from_index(system.into())?;
@@ -114,25 +105,44 @@ impl Entry {
                 Self::Supply(at, system, SupplyEvent::decode(bytes.record()?)?)
             }
             FRAME => Self::Frame(bytes.frame()?),
-            VEHICLE => serde_json::from_slice::<VehicleRecord>(content)
-                .ok()?
-                .into(),
+            VEHICLE => read_vehicle(content)?,
             _ => return None,
         })
     }
 }
 
-fn trace_bytes(traced: &Traced) -> Vec<u8> {
+/// Its JSON is compiled here, once: there are few of them.
+#[inline(never)]
+fn read_vehicle(content: &[u8]) -> Option<Entry> {
+    let record = serde_json::from_slice::<VehicleRecord>(content).ok()?;
+    Some(record.into())
+}
+
+fn write_entry(into: &mut impl Write, kind: u8, content: &[u8]) -> io::Result<()> {
+    into.write_all(&(1 + content.len() as u32).to_le_bytes())?;
+    into.write_all(&[kind])?;
+    into.write_all(content)
+}
+
+/// Bytes of a trace record in the file: source, time, and four words.
+const RECORD: usize = 1 + 8 + 16;
+
+#[inline] // as `Entry::read`
+fn trace_bytes(traced: &Traced) -> [u8; RECORD] {
     let source = traced.system.index() * CoreId::COUNT + traced.core.index();
-    let mut bytes = vec![source as u8];
-    bytes.extend(traced.at.as_ns().to_le_bytes());
-    bytes.extend(traced.record.iter().flat_map(|word| word.to_le_bytes()));
+    let mut bytes = [0; RECORD];
+    bytes[0] = source as u8;
+    bytes[1..9].copy_from_slice(&traced.at.as_ns().to_le_bytes());
+    for (place, word) in bytes[9..].chunks_exact_mut(4).zip(traced.record) {
+        place.copy_from_slice(&word.to_le_bytes());
+    }
     bytes
 }
 
 const EXTENDED: u8 = 1;
 const FD: u8 = 2;
 
+#[inline] // as `Entry::read`
 fn frame_bytes(of: &LoggedFrame) -> Vec<u8> {
     let (id, extended) = match of.frame.id() {
         CanId::Standard(id) => (u32::from(id), 0),
@@ -151,22 +161,36 @@ fn frame_bytes(of: &LoggedFrame) -> Vec<u8> {
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
+    #[inline] // as `Entry::read`
     fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
         let (taken, rest) = self.0.split_first_chunk::<N>()?;
         self.0 = rest;
         Some(*taken)
     }
 
+    #[inline] // as `Entry::read`
     fn instant(&mut self) -> Option<Instant> {
         Some(Instant::from_ns(u64::from_le_bytes(self.take()?)))
     }
 
+    #[inline] // as `Entry::read`
     fn record(&mut self) -> Option<[u32; 4]> {
         let mut record = [0; 4];
         for word in &mut record {
             *word = u32::from_le_bytes(self.take()?);
         }
         Some(record)
+    }
+
+    #[inline] // as `Entry::read`
+    fn traced(&mut self) -> Option<Traced> {
+        let [source] = self.take()?;
+        Some(Traced {
+            system: SystemId::from_index(usize::from(source) / CoreId::COUNT)?,
+            core: CoreId::new(source % CoreId::COUNT as u8)?,
+            at: self.instant()?,
+            record: self.record()?,
+        })
     }
 
     fn frame(mut self) -> Option<LoggedFrame> {
@@ -216,6 +240,7 @@ pub fn read(path: &Path, mut into: impl FnMut(Entry) -> anyhow::Result<()>) -> a
 
 /// Returns the length of the whole entries at the beginning of `bytes` that fit into `most` bytes.
 /// The first entry counts even if it does not fit. Returns `None` if there is no whole entry.
+#[inline] // as `Entry::read`
 #[must_use]
 pub fn whole_entries(bytes: &[u8], most: usize) -> Option<usize> {
     let mut end = 0;
@@ -227,6 +252,14 @@ pub fn whole_entries(bytes: &[u8], most: usize) -> Option<usize> {
         end = next;
     }
     (end > 0).then_some(end)
+}
+
+/// Returns the record of a core's trace if this is its whole entry.
+#[inline] // as `Entry::read`
+#[must_use]
+pub fn traced(entry: &[u8]) -> Option<Traced> {
+    let (kind, content) = entry.get(4..)?.split_first()?;
+    (*kind == TRACE).then(|| Bytes(content).traced())?
 }
 
 /// Passes each entry of these bytes to `into`.

@@ -12,6 +12,7 @@ pub mod core_process;
 pub mod files;
 mod forging;
 pub mod live;
+pub mod observed;
 pub mod open_bus;
 pub mod percentiles;
 pub mod recorder;

@@ -7,8 +7,10 @@ use iceoryx2::node::Node;
 use iceoryx2::port::publisher::Publisher as Sending;
 use iceoryx2::port::subscriber::Subscriber as Receiving;
 use iceoryx2::prelude::{
-    LogLevel, NodeBuilder, ServiceName, SignalHandlingMode, ZeroCopySend, ipc, set_log_level,
+    LogLevel, NodeBuilder, PortFactory as _, ServiceName, SignalHandlingMode, ZeroCopySend, ipc,
+    set_log_level,
 };
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use tandem_shm::topic::{Publish, Subscribe};
 
 use tandem_board_host::RunName;
@@ -59,6 +61,7 @@ fn name_of<T: ServicePayload>(run: &RunName) -> Result<ServiceName, ServiceError
 /// The publisher of a service. There is one.
 #[derive(Debug)]
 pub struct ServicePublisher<T: ServicePayload> {
+    service: PortFactory<ipc::Service, T, SampleNumber>,
     port: Sending<ipc::Service, T, SampleNumber>,
     next: u64,
 }
@@ -91,8 +94,15 @@ impl<T: ServicePayload> ServicePublisher<T> {
         let port = service.publisher_builder().create();
         Ok(Self {
             port: port.map_err(refused(T::NAME))?,
+            service,
             next: 0,
         })
+    }
+
+    /// Returns whether the service has a subscriber.
+    #[must_use]
+    pub fn is_observed(&self) -> bool {
+        self.service.dynamic_config().number_of_subscribers() > 0
     }
 }
 
@@ -100,7 +110,11 @@ impl<T: ServicePayload> Publish<T> for ServicePublisher<T> {
     type Place<'a> = T;
     type Error = ServiceError;
 
+    /// Without a subscriber the value is dropped, and not counted.
     fn publish_with(&mut self, fill: impl FnOnce(&mut T)) -> Result<(), ServiceError> {
+        if !self.is_observed() {
+            return Ok(());
+        }
         let mut sample = self.port.loan().map_err(refused(T::NAME))?;
         fill(sample.payload_mut());
         sample.user_header_mut().number = self.next;
