@@ -220,20 +220,23 @@ impl Supply<'_> {
         self.carry_out(change);
         let mut next = now + PERIOD;
         loop {
-            self.sleep(vehicle, next);
-            // Clear the pokes before reading the registers: a later poke ends the next sleep.
-            self.pokes.take();
+            let has_news = self.sleep(vehicle, next);
             let now = clock::now();
             if now.since(next) > HELD_UP {
                 self.model.was_blind(next, now);
             }
-            if !self.backplane.ignition() || vehicle.has_ended() {
+            if !self.backplane.ignition() || has_news && vehicle.has_ended() {
                 self.kill_cores();
                 self.reap_all();
                 return;
             }
-            self.look_at_peer();
-            self.look_at_cores(now);
+            if has_news {
+                // Clear the pokes before reading the registers: a later poke ends the next sleep.
+                self.pokes.take();
+                self.look_at_peer();
+                self.look_at_cores(now);
+            }
+            self.follow_peer();
             self.look_at_registers();
             let pins = self.backplane.faults(self.args.system);
             let change = self.model.observe(now, pins);
@@ -253,8 +256,11 @@ impl Supply<'_> {
         (now + period).min(self.model.next().max(now + PERIOD))
     }
 
-    /// Sleeps until a process ends, a poke arrives or the next tick is due.
-    fn sleep(&self, vehicle: &Watched, next: Instant) {
+    /// Sleeps until a process ends, a poke arrives or the next tick is due. Returns `false` if no
+    /// process has ended and no poke waits. One that arrives as the sleep ends also ends the next.
+    fn sleep(&self, vehicle: &Watched, next: Instant) -> bool {
+        let is_watched = |core: &PoweredCore| core.watched.is_some();
+        let all_watched = self.cores.iter().flatten().all(is_watched);
         let cores = self
             .cores
             .iter()
@@ -262,20 +268,25 @@ impl Supply<'_> {
             .filter_map(|core| core.watched.as_ref());
         let fds = cores.chain(&self.peer).map(Watched::fd);
         let fds = fds.chain([vehicle.fd(), self.pokes.fd()]);
-        // A failure needs no handling: the registers are read anyway.
-        let _ = clock::wait_for(fds, next.since(clock::now()));
+        // A failure needs no handling: everything is looked at.
+        let has_news = clock::wait_for(fds, next.since(clock::now()));
+        has_news.unwrap_or(true) || !all_watched
     }
 
     fn look_at_peer(&mut self) {
         let system = self.args.system.peer();
-        let pid = self.backplane.supply_pid(system);
         if self.peer.as_ref().is_some_and(Watched::has_ended) {
             self.peer = None;
             // If a new supply has already replaced it, that supply sets the level itself.
-            if pid == self.peer_pid {
+            if self.backplane.supply_pid(system) == self.peer_pid {
                 self.set_level(system, false);
             }
         }
+    }
+
+    /// Watches a supply that has replaced the other one.
+    fn follow_peer(&mut self) {
+        let pid = self.backplane.supply_pid(self.args.system.peer());
         if self.peer.is_none() && pid != self.peer_pid {
             (self.peer_pid, self.peer) = (pid, Watched::new(pid));
         }
