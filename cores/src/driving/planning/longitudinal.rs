@@ -66,12 +66,9 @@ const MAX_BRAKING: f32 = 8.0;
 pub(crate) const COMFORTABLE_BRAKING: f32 = 4.0;
 const TOLERABLE_DANGER: f32 = 40.0;
 /// Beyond this jerk, m/s³, a motion is an emergency: it is chosen only if the danger of each other
-/// one exceeds `EMERGENCY_DANGER`. A contact costs ten times as much.
+/// one exceeds `EMERGENCY_DANGER` and touches what is ahead.
 const SMOOTH_JERK: f32 = 8.0;
 const EMERGENCY_DANGER: f32 = 100.0;
-/// It must also have less than this share of their danger, unless theirs is that of a contact.
-const EMERGENCY_HELPS: f32 = 0.25;
-const CONTACT_DANGER: f32 = 600.0;
 /// Full braking, m/s².
 pub(crate) const EMERGENCY_BRAKING: f32 = 9.0;
 /// Jerk of smooth braking ramps and of those of an emergency, m/s³.
@@ -89,6 +86,10 @@ const WEIGHT_UNSAFE: f32 = 400.0;
 const CLOSING: f32 = 2.0;
 const OPENING_SHARE: f32 = 0.1;
 const WEIGHT_CONTACT: f32 = 5_000.0;
+/// A smaller gap counts as contact, m, and so does driving farther than this beyond the lane's end,
+/// m.
+const CONTACT_M: f32 = 1.0;
+const OVERRUN_M: f32 = 0.5;
 /// Cost per metre driven into the margin before the end of a lane, and the limit of that distance,
 /// m.
 const WEIGHT_MARGIN: f32 = 10.0;
@@ -208,8 +209,8 @@ impl Corridor {
                 let lack = (safe - gap) / (safe + 4.0);
                 cost += WEIGHT_UNSAFE * closing * lack * lack;
             }
-            if gap < 1.0 {
-                cost += WEIGHT_CONTACT * (1.0 - max(gap, -10.0));
+            if gap < CONTACT_M {
+                cost += WEIGHT_CONTACT * (CONTACT_M - max(gap, -10.0));
             }
         }
         let beyond = motion.value - self.end[step];
@@ -217,6 +218,14 @@ impl Corridor {
             cost += WEIGHT_UNSAFE * min(beyond, 5.0);
         }
         cost
+    }
+
+    /// Returns whether the motion touches what is ahead, or overruns the lane's end.
+    fn is_touched_by(&self, profile: &Profile) -> bool {
+        (0..STEPS).any(|step| {
+            let way = profile.at((step + 1) as f32 * STEP_S).value;
+            self.bound[step] - way < CONTACT_M || way - self.end[step] > OVERRUN_M
+        })
     }
 
     /// Returns the cost per second of using the margin before the end of the lane at this step.
@@ -620,9 +629,10 @@ pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
     } else {
         (comfortable, Manner::Comfortable)
     };
-    let helps = smooth.2 >= CONTACT_DANGER || emergency.2 < EMERGENCY_HELPS * smooth.2;
-    let is_dear = smooth.1 <= emergency.1 || !helps;
-    if smooth.2 < EMERGENCY_DANGER || is_dear && smooth.1.is_finite() {
+    let is_calm = smooth.2 < EMERGENCY_DANGER
+        || smooth.1 <= emergency.1
+        || !corridor.is_touched_by(&smooth.0);
+    if is_calm && smooth.1.is_finite() {
         (smooth.0, manner)
     } else {
         (emergency.0, Manner::Emergency)
@@ -697,6 +707,29 @@ mod tests {
         assert_eq!(manner(95.0), Manner::Comfortable);
         assert_eq!(manner(55.0), Manner::Firm);
         assert_eq!(manner(30.0), Manner::Emergency);
+    }
+
+    /// A vehicle cuts in 4 m ahead, a little slower. Softer braking opens the gap, so hard braking is
+    /// no emergency, however much sooner the distance would be safe.
+    #[test]
+    fn a_near_cut_in_that_is_not_touched_is_no_emergency() {
+        let manner = |gap: f32, slower: f32| {
+            let start = Jet {
+                first: 25.0,
+                second: -1.3,
+                ..Jet::default()
+            };
+            let mut corridor = Corridor::free(25.0);
+            for step in 0..STEPS {
+                let (t, speed) = ((step + 1) as f32 * STEP_S, 25.0 - slower);
+                corridor.limit(step, gap + speed * t, speed);
+            }
+            cheapest(&start, &corridor).1
+        };
+        for (gap, slower) in [(4.0, 1.8), (3.0, 1.0), (6.0, 3.0)] {
+            assert_ne!(manner(gap, slower), Manner::Emergency, "{gap} {slower}");
+        }
+        assert_eq!(manner(4.0, 8.0), Manner::Emergency);
     }
 
     /// The vehicle waits for another that turns across the lane ahead. The prediction that the

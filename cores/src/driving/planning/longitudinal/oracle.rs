@@ -81,9 +81,9 @@ fn plain(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
         true => (firm, Manner::Firm),
         false => (comfortable, Manner::Comfortable),
     };
-    let helps = smooth.2 >= CONTACT_DANGER || emergency.2 < EMERGENCY_HELPS * smooth.2;
+    let helps = corridor.is_touched_by(&smooth.0);
     let is_dear = smooth.1 <= emergency.1 || !helps;
-    if smooth.2 < EMERGENCY_DANGER || is_dear && smooth.1.is_finite() {
+    if smooth.1.is_finite() && (smooth.2 < EMERGENCY_DANGER || is_dear) {
         (smooth.0, manner)
     } else {
         (emergency.0, Manner::Emergency)
