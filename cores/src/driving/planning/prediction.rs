@@ -12,6 +12,9 @@ const ONCOMING: f32 = 1.0;
 /// an angle with a larger tangent than this.
 const CROSSING: f32 = 1.5;
 const CROSSING_SLOPE: f32 = 0.35;
+/// The same for one that moves in the vehicle's direction: a fast change of lanes at low speed has
+/// a tangent of up to 0.45.
+const CROSSING_SLOPE_ALONG: f32 = 0.6;
 /// A speed below this against the ego's direction, m/s, is noise: the road user has just stopped.
 const ROLLS_BACK: f32 = 0.5;
 /// Time constant with which a movement across the road ends, s.
@@ -55,7 +58,12 @@ impl Predicted {
         let across = object.vy * cosine - object.vx * sine;
         let speed = object.vx * cosine + object.vy * sine;
         let (is_oncoming, turns) = (speed < -ONCOMING, abs(across) > CROSSING);
-        let sideways = if turns && abs(across) > CROSSING_SLOPE * abs(speed) {
+        let slope = if speed > 0.0 {
+            CROSSING_SLOPE_ALONG
+        } else {
+            CROSSING_SLOPE
+        };
+        let sideways = if turns && abs(across) > slope * abs(speed) {
             Sideways::Crosses
         } else if object.cuts_in && !is_oncoming {
             Sideways::CutsIn
@@ -178,6 +186,30 @@ mod tests {
         };
         assert!((place_in_8_s(-0.3) - 7.7).abs() < 0.01);
         assert!(place_in_8_s(-1.5) < 0.0, "it comes towards the vehicle");
+    }
+
+    /// At low speed a fast change of lanes points far aside. It ends in the own lane; a bicycle from
+    /// the side goes on.
+    #[test]
+    fn a_fast_change_of_lanes_is_no_crossing() {
+        let line = crate::driving::road::CentreLine::of_curvature(0.0);
+        let moving = |vx: f32, vy: f32| {
+            let object = Object {
+                x: 12.0,
+                y: 2.5,
+                vx,
+                vy,
+                cuts_in: true,
+                ..Object::truck()
+            };
+            Predicted::new(&object, &FrenetFrame::new(line))
+        };
+        let changes = moving(7.2, -2.8);
+        assert!(!changes.crosses());
+        assert_eq!(changes.across(8.0), 0.0);
+        for (vx, vy) in [(0.0, -2.0), (3.0, -3.0), (-6.0, -2.8)] {
+            assert!(moving(vx, vy).crosses(), "{vx} {vy}");
+        }
     }
 
     #[test]
