@@ -23,8 +23,10 @@ const EMERGENCY_JERK: f32 = 45.0;
 pub(crate) const HARD_BRAKING: f32 = -4.0;
 /// A brake that is not released before standstill ends the stop with a jolt. So it is released with
 /// this jerk, m/s³, to the braking that holds the vehicle. This adds 5 cm from 2.5 m/s², 19 cm from
-/// 4 m/s².
+/// 4 m/s². Braking `a` adds a³ / 24 jerk²: where that would be more than this way, m, the jerk is
+/// higher.
 const SOFT_STOP_JERK: f32 = 4.0;
+const SOFT_STOP_M: f32 = 0.2;
 /// The release delay of the brake, s: twice its lag of 0.14 s, after which a tenth is left.
 const BRAKE_DELAY_S: f32 = 0.3;
 /// At this speed and above, the wheels may turn as fast as they can, m/s.
@@ -86,7 +88,7 @@ impl Shaper {
 
         let mut wished = clamp(wish.acceleration, -MAX_BRAKING, MAX_ACCELERATION);
         if !urgent {
-            wished = max(wished, self.soft_stop(ego.speed));
+            wished = max(wished, self.soft_stop(-wished, ego.speed));
         }
         let firm = |is_hard| if is_hard { FIRM_JERK } else { COMFORT_JERK };
         let down = if urgent {
@@ -94,7 +96,7 @@ impl Shaper {
         } else {
             firm(wished < HARD_BRAKING)
         };
-        let up = firm(self.last.acceleration < HARD_BRAKING);
+        let up = firm(min(self.last.acceleration, wish.acceleration) < HARD_BRAKING);
         let acceleration = clamp(
             wished,
             self.last.acceleration - down * PERIOD_S,
@@ -107,13 +109,19 @@ impl Shaper {
         self.last
     }
 
-    /// Returns the hardest braking from which the vehicle comes to a soft stop, m/s², negative.
-    fn soft_stop(&self, speed: f32) -> f32 {
+    /// Returns the hardest braking from which the vehicle comes to a soft stop, m/s², negative, if
+    /// the wish is this `braking`, m/s².
+    fn soft_stop(&self, braking: f32, speed: f32) -> f32 {
+        let braking = max(braking, 0.0);
+        let jerk = max(
+            SOFT_STOP_JERK,
+            sqrt(braking * braking * braking / (24.0 * SOFT_STOP_M)),
+        );
         let soon = max(
             speed + BRAKE_DELAY_S * min(self.last.acceleration, 0.0),
             0.0,
         );
-        STANDSTILL_BRAKE - sqrt(2.0 * SOFT_STOP_JERK * soon)
+        STANDSTILL_BRAKE - sqrt(2.0 * jerk * soon)
     }
 }
 
@@ -201,7 +209,13 @@ mod tests {
     /// emergency the stopping distance has priority.
     #[test]
     fn a_stop_ends_softly() {
-        for (braking, longer_m) in [(1.5, 0.03), (2.5, 0.07), (4.0, 0.22)] {
+        for (braking, longer_m) in [
+            (1.5, 0.03),
+            (2.5, 0.07),
+            (4.0, 0.22),
+            (7.0, 0.4),
+            (8.0, 0.42),
+        ] {
             let (jerk, way) = stop(braking, false);
             assert!(jerk < 9.5, "{braking}: {jerk}");
             let shortest = 36.0 / (2.0 * braking);
