@@ -27,10 +27,12 @@ const RESIDUAL_BEND: f64 = 8e-4;
 /// That is so where the lane bends more than this within the view, 1/m.
 const BENDS: f64 = 0.003;
 /// A bend has a sign with the speed of this lateral acceleration, m/s², to which a vehicle slows
-/// down with this braking, m/s², until this distance before it, m.
+/// down with this braking, m/s², until this distance before it, m, or this time before it, s. A
+/// driver who follows a speed that falls is late by that time.
 const BEND_ACCELERATION: f64 = 2.2;
 const BEND_BRAKING: f64 = 1.3;
 const BEND_MARGIN: f64 = 15.0;
+const BEND_AHEAD_S: f64 = 2.5;
 /// Distance between two places at which bends are looked for, m.
 const BEND_STEP: f64 = 5.0;
 /// No bend has a sign with a higher speed than this, m/s: that of the domain.
@@ -93,7 +95,7 @@ impl LaneCamera {
             ends_domain: domain_end < lane_end && domain_end <= END_IN_SIGHT,
             left_end: self.neighbour_end(road, ego, left),
             right_end: self.neighbour_end(road, ego, right),
-            speed_limit: signed_speed(lane, ego.place.s, here.speed_limit),
+            speed_limit: signed_speed(lane, ego, here.speed_limit),
             ..CameraLanes::default()
         }
     }
@@ -126,11 +128,12 @@ impl LaneCamera {
 
 /// Returns the speed that signs allow here, m/s: the limit, and before a bend the speed from which
 /// [`BEND_BRAKING`] leads to the bend's own. The map has both, as it has the ends of lanes.
-fn signed_speed(lane: &RoadLane, s: f64, limit: f64) -> f32 {
+fn signed_speed(lane: &RoadLane, ego: &EgoTruth, limit: f64) -> f32 {
+    let margin = BEND_MARGIN.max(BEND_AHEAD_S * ego.speed);
     let steps = (0..=(END_IN_SIGHT / BEND_STEP) as usize).map(|step| step as f64 * BEND_STEP);
     let bend = steps.map(|ahead| {
-        let bend = lane.curvature_at(s + ahead).abs().max(1e-6);
-        let room = (ahead - BEND_MARGIN).max(0.0);
+        let bend = lane.curvature_at(ego.place.s + ahead).abs().max(1e-6);
+        let room = (ahead - margin).max(0.0);
         (BEND_ACCELERATION / bend + 2.0 * BEND_BRAKING * room).sqrt()
     });
     let bend = bend.fold(f64::INFINITY, f64::min);
@@ -237,6 +240,35 @@ mod tests {
     use crate::Scenario;
     use crate::geometry::Pose;
     use crate::road::Frenet;
+
+    /// Before a bend, a vehicle has the speed of the sign that a slow one sees where the fast one is
+    /// 2.5 s later.
+    #[test]
+    fn the_speed_before_a_bend_is_signed_early() {
+        let mut compared = 0;
+        for name in Scenario::names() {
+            let scenario = Scenario::load(name).unwrap();
+            let lane = scenario.road().lane(LaneId(0));
+            let signed = |s: f64, speed: f64| {
+                let place = Frenet { s, d: 0.0 };
+                let ego = EgoTruth {
+                    place,
+                    speed,
+                    ..EgoTruth::default()
+                };
+                signed_speed(lane, &ego, f64::INFINITY)
+            };
+            for s in (0..2_500).step_by(5).map(f64::from) {
+                let (now, slow) = (signed(s, 30.0), signed(s, 0.0));
+                let later = signed(s + BEND_AHEAD_S * 30.0 - BEND_MARGIN, 0.0);
+                if slow < CameraLanes::NO_SPEED_LIMIT && later < slow {
+                    compared += usize::from(now < slow);
+                    assert!(now <= later + 0.01, "{name} {s}: {now} {later}");
+                }
+            }
+        }
+        assert!(compared > 10, "{compared}");
+    }
 
     /// The cubic stays within 10 cm of the centre line on all embedded roads.
     #[test]
