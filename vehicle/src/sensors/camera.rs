@@ -241,7 +241,7 @@ mod tests {
     use crate::geometry::Pose;
     use crate::road::Frenet;
 
-    /// Before a bend, a vehicle has the speed of the sign that a slow one sees where the fast one is
+    /// A fast vehicle reads before a bend the speed that a slow one reads where the fast one is
     /// 2.5 s later.
     #[test]
     fn the_speed_before_a_bend_is_signed_early() {

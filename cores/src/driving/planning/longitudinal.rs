@@ -709,8 +709,8 @@ mod tests {
         assert_eq!(manner(30.0), Manner::Emergency);
     }
 
-    /// A vehicle cuts in 4 m ahead, a little slower. Softer braking opens the gap, so hard braking is
-    /// no emergency, however much sooner the distance would be safe.
+    /// A vehicle cuts in 4 m ahead, a little slower. Softer braking opens the gap, so it is no
+    /// emergency, however much sooner hard braking would make the distance safe.
     #[test]
     fn a_near_cut_in_that_is_not_touched_is_no_emergency() {
         let manner = |gap: f32, slower: f32| {

@@ -188,8 +188,8 @@ mod tests {
         assert!(place_in_8_s(-1.5) < 0.0, "it comes towards the vehicle");
     }
 
-    /// At low speed a fast change of lanes points far aside. It ends in the own lane; a bicycle from
-    /// the side goes on.
+    /// At low speed a fast change of lanes points far aside. It ends in the own lane; a bicycle
+    /// from the side goes on.
     #[test]
     fn a_fast_change_of_lanes_is_no_crossing() {
         let line = crate::driving::road::CentreLine::of_curvature(0.0);
