@@ -102,6 +102,9 @@ fn every_sensor_looks_in_its_own_direction() {
         ),
         (30.0, 20.0, &[RadarFront, RadarFrontLeft, CameraFront]),
         (0.0, 10.0, &[RadarFrontLeft, RadarRearLeft]),
+        // Abreast no radar looks at its middle, but two see its flank.
+        (0.0, 3.5, &[RadarFrontLeft, RadarRearLeft]),
+        (0.0, -3.5, &[RadarFrontRight, RadarRearRight]),
         (0.0, -10.0, &[RadarFrontRight, RadarRearRight]),
         (-50.0, 0.0, &[RadarRearLeft, RadarRearRight]),
         (-60.0, 40.0, &[RadarRearLeft]),
@@ -194,6 +197,31 @@ fn errors_are_as_announced() {
         assert!(objects.iter().all(|o| o.class == expected));
         assert!(lists.len() > objects.len(), "some are missed");
     }
+}
+
+/// Of a vehicle abreast a corner radar sees a part: where its middle is, it tells with an error as
+/// large as it announces, which is that of its middle's way out of the field of view.
+#[test]
+fn a_part_tells_less_of_where_the_whole_is() {
+    let errors = |y: f64| {
+        let (lists, _) = measure(
+            &scenario(&[(0.0, y, 4.5, 1.8)], 0.0),
+            SensorId::RadarFrontLeft,
+            2_000,
+        );
+        let objects = lists.concat();
+        let square: f64 = objects.iter().map(|o| f64::from(o.x).powi(2)).sum();
+        let deviation = (square / objects.len() as f64).sqrt();
+        (deviation, f64::from(objects[0].x_deviation))
+    };
+    // Its middle is in view from 4.2 m aside on.
+    let (partly, announced) = errors(3.5);
+    assert!(
+        (partly / announced - 1.0).abs() < 0.15,
+        "{partly} {announced}"
+    );
+    let (wholly, _) = errors(4.5);
+    assert!(partly > 2.0 * wholly, "{partly} {wholly}");
 }
 
 #[test]

@@ -8,8 +8,9 @@ use crate::traffic::RoadUser;
 
 /// Largest number of objects in a list; the nearest ones are kept.
 const LIST_LEN: usize = 20;
-/// An object counts as hidden if nearer ones cover more than this share of its angular extent.
-const HIDDEN_SHARE: f64 = 0.75;
+/// An object is seen if at least this share of its angular extent is in the field of view and not
+/// covered by nearer objects.
+const SEEN_SHARE: f64 = 0.25;
 /// Probability of detection up to 80 percent of the range; at the full range it is half of this.
 const DETECTION: f64 = 0.985;
 
@@ -134,7 +135,7 @@ struct Sight {
     index: usize,
     centre: Vec2,
     corners: [Vec2; 4],
-    /// Whether its centre is in the field of view, or nearly.
+    /// Whether a part of it is in the field of view, or nearly.
     in_view: bool,
     /// Square of the distance of the nearest corner, m².
     near: f64,
@@ -189,12 +190,12 @@ impl Detector {
         self.covered.clear();
         for sight in 0..self.sights.len() {
             let (index, edges) = (self.sights[sight].index, self.sights[sight].edges);
-            let hidden = self.covered_share(edges) > HIDDEN_SHARE;
+            let view = self.view(&self.sights[sight]);
             self.cover(edges);
-            if hidden || self.list.len() == LIST_LEN {
+            let Some(view) = view.filter(|_| self.list.len() < LIST_LEN) else {
                 continue;
-            }
-            if let Some(object) = self.detect(origin, ego, &vehicles[index]) {
+            };
+            if let Some(object) = self.detect(origin, ego, &vehicles[index], view) {
                 let index = self.list.len() as u8;
                 self.list.push(SensorObject { index, ..object });
             }
@@ -224,7 +225,10 @@ impl Detector {
             let corners = corners.map(|corner| frame.to_local(corner));
             let near = corners.map(|corner| corner.dot(corner));
             let in_view = self.in_view.iter().any(|(range, slope)| {
-                centre.dot(centre) < range * range && centre.y.abs() <= slope * centre.x
+                centre.dot(centre) < range * range
+                    && corners.iter().any(|it| it.x > 0.0)
+                    && corners.iter().any(|it| it.y <= slope * it.x)
+                    && corners.iter().any(|it| -it.y <= slope * it.x)
             });
             self.sights.push(Sight {
                 index,
@@ -241,25 +245,25 @@ impl Detector {
         }
     }
 
-    /// Removes objects that cannot hide anything: those to the right or to the left of all objects
-    /// in the field of view. The others get their edges.
+    /// Removes objects that cannot hide anything: those to the right or to the left of all that is
+    /// seen of the objects in the field of view. The others get their edges.
     fn leave_out_aside(&mut self) {
+        let widest = { self.model.lobes.iter() }.map(|lobe| lobe.half_angle);
+        let widest = widest.fold(0.0, f64::max);
         let (right, left) = { self.sights.iter() }.fold(NOWHERE, |(right, left), sight| {
-            (right.min(sight.edges.0), left.max(sight.edges.1))
+            let (low, high) = (sight.edges.0.max(-widest), sight.edges.1.min(widest));
+            (right.min(low), left.max(high))
         });
-        // Left and right exist only for directions that are less than half a turn apart.
-        let (is_empty, is_narrow) = (right > left, left - right < 3.0);
+        let is_empty = right > left;
         let (right, left) = (Vec2::from_angle(right), Vec2::from_angle(left));
         self.sights.retain_mut(|sight| {
             if sight.in_view {
                 return true;
             }
-            if is_empty {
-                return false;
-            }
+            // Right and left exist, as the field of view is less than half a turn wide.
             let is_aside = sight.corners.iter().all(|it| right.cross(*it) < -1e-6)
                 || sight.corners.iter().all(|it| left.cross(*it) > 1e-6);
-            if is_narrow && is_aside {
+            if is_empty || is_aside {
                 return false;
             }
             sight.edges = edges(sight.centre, &sight.corners);
@@ -267,14 +271,27 @@ impl Detector {
         });
     }
 
-    /// Returns the covered share of these directions.
-    fn covered_share(&self, (low, high): (f64, f64)) -> f64 {
-        let covered: f64 = self
-            .covered
-            .iter()
-            .map(|(from, to)| (to.min(high) - from.max(low)).max(0.0))
+    /// Returns the range of the lobes that see this object, m, and how far beside all of them its
+    /// centre is, rad; `None` if no lobe sees it.
+    fn view(&self, sight: &Sight) -> Option<(f64, f64)> {
+        let (distance, angle) = (sight.centre.norm(), sight.centre.angle());
+        let sees = |lobe: &&Lobe| {
+            distance < lobe.range && self.seen_share(sight.edges, lobe.half_angle) >= SEEN_SHARE
+        };
+        let beside = |lobe: &Lobe| (angle.abs() - lobe.half_angle).max(0.0);
+        let seen = { self.model.lobes.iter() }.filter(sees);
+        seen.map(|lobe| (lobe.range, beside(lobe)))
+            .reduce(|a, b| (a.0.max(b.0), a.1.min(b.1)))
+    }
+
+    /// Returns the share of these directions that is up to `half_angle` aside and not covered.
+    fn seen_share(&self, (low, high): (f64, f64), half_angle: f64) -> f64 {
+        let high = high.max(low + 1e-6);
+        let (right, left) = (low.max(-half_angle), high.min(half_angle));
+        let covered: f64 = { self.covered.iter() }
+            .map(|(from, to)| (to.min(left) - from.max(right)).max(0.0))
             .sum();
-        covered / (high - low).max(1e-6)
+        (left - right - covered) / (high - low)
     }
 
     /// Adds directions; overlapping intervals are merged.
@@ -289,33 +306,32 @@ impl Detector {
         self.covered.push((low, high));
     }
 
-    /// Returns the detection of one visible vehicle, if it is in the field of view and not missed.
-    fn detect(&mut self, origin: Pose, ego: &EgoTruth, vehicle: &RoadUser) -> Option<SensorObject> {
+    /// Returns the detection of one vehicle that is seen, if it is not missed. The part that is in
+    /// the field of view tells where a centre beside it is: the error grows by that distance.
+    fn detect(
+        &mut self,
+        origin: Pose,
+        ego: &EgoTruth,
+        vehicle: &RoadUser,
+        (range, beside): (f64, f64),
+    ) -> Option<SensorObject> {
         let Model {
             mount,
-            lobes,
             accuracy,
             classifies,
+            ..
         } = &self.model;
         let footprint = &vehicle.participant.footprint;
         let local = origin.to_local(footprint.pose.position);
         let (distance, angle) = (local.norm(), local.angle());
-        let inside = |lobe: &&Lobe| distance < lobe.range && angle.abs() < lobe.half_angle;
-        let range = lobes
-            .iter()
-            .filter(inside)
-            .map(|lobe| lobe.range)
-            .fold(0.0, f64::max);
-        if range == 0.0 {
-            return None;
-        }
         let fading = ((distance / range - 0.8) / 0.2).max(0.0);
         if !self.noise.chance(DETECTION * (1.0 - 0.5 * fading)) {
             return None;
         }
         let range_deviation = accuracy.range + accuracy.range_growth * distance;
         let measured = distance + self.noise.normal(range_deviation);
-        let direction = angle + self.noise.normal(accuracy.angle);
+        let angle_deviation = accuracy.angle.hypot(beside);
+        let direction = angle + self.noise.normal(angle_deviation);
         let position = mount.to_world(Vec2::from_angle(direction) * measured);
 
         let over_ground = vehicle.frame.forward() * vehicle.participant.speed;
@@ -326,7 +342,7 @@ impl Detector {
             + sight.left() * self.noise.normal(accuracy.tangential_speed);
 
         let (cos, sin) = (sight.x.abs(), sight.y.abs());
-        let across = accuracy.angle * distance;
+        let across = angle_deviation * distance;
         let class = if *classifies {
             vehicle.class
         } else {
