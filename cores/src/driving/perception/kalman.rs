@@ -5,7 +5,7 @@
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
-use crate::driving::math::exp;
+use crate::driving::math::{exp, sqrt};
 
 /// How an axis moves between measurements.
 #[derive(Clone, Copy, Debug)]
@@ -151,6 +151,11 @@ impl Axis {
 
     pub(crate) fn position(&self) -> f32 {
         self.state.x
+    }
+
+    /// Returns the standard deviation of the position.
+    pub(crate) fn deviation(&self) -> f32 {
+        sqrt(self.covariance.m11)
     }
 
     pub(crate) fn velocity(&self) -> f32 {

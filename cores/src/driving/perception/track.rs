@@ -48,6 +48,11 @@ const TENTATIVE_COAST_S: f32 = 0.12;
 const COAST_S: f32 = 0.8;
 /// The same for a track close beside the ego vehicle, where the fields of view may leave a gap, s.
 const BESIDE_COAST_S: f32 = 2.0;
+/// The same where no radar sees: it cannot have left that place unseen, s.
+const HIDDEN_COAST_S: f32 = 10.0;
+/// On either side, the fields of view of the corner radars leave out a triangle: half of it along
+/// the vehicle's middle line, and how far aside they meet, m.
+const HIDDEN_M: (f32, f32) = (2.4, 4.2);
 /// Detections of one round lie within this time, s.
 const ROUND_S: f32 = 0.03;
 
@@ -310,10 +315,18 @@ impl Track {
         let beside = abs(self.x.position()) < 8.0 && abs(self.y.position()) < 8.0;
         let patience = match (self.confirmed, beside) {
             (false, _) => TENTATIVE_COAST_S,
+            (true, _) if self.may_be_hidden() => HIDDEN_COAST_S,
             (true, false) => COAST_S,
             (true, true) => BESIDE_COAST_S,
         };
         self.unseen_s > patience
+    }
+
+    /// Returns whether it may be where no radar sees it, as far as its place is known.
+    fn may_be_hidden(&self) -> bool {
+        let (along, aside) = HIDDEN_M;
+        let half = along * (1.0 - abs(self.y.position()) / aside);
+        half > 0.0 && abs(self.x.position()) < half + self.x.deviation()
     }
 
     /// Returns whether both tracks are the same object: two vehicles cannot be in one place.
@@ -363,6 +376,40 @@ mod tests {
             ..SensorObject::default()
         };
         Detection::new(SensorId::RadarFront, &object, &Ego::default())
+    }
+
+    /// A road user that no radar sees stays in the scene while it can still be in the triangle
+    /// between the fields of view: 10 s abreast, 2 s beside it, 0.8 s far away.
+    #[test]
+    fn a_track_stays_where_no_radar_sees() {
+        let unseen_s = |x: f32, y: f32| {
+            let object = SensorObject {
+                x,
+                y,
+                x_deviation: 0.2,
+                y_deviation: 0.2,
+                ..SensorObject::default()
+            };
+            let seen = Detection::new(SensorId::RadarRearLeft, &object, &Ego::default());
+            let mut track = Track::new(1, &seen);
+            track.confirmed = true;
+            let passage = Passage::new(0.05, &EgoPose::default());
+            let mut cycles = 0.0;
+            while !track.is_lost() {
+                track.predict(&passage);
+                cycles += 1.0;
+            }
+            0.05 * cycles
+        };
+        for (x, y, expected_s) in [
+            (0.0, 2.0, 10.0),
+            (-0.5, -2.5, 10.0),
+            (0.0, 5.0, 2.0),
+            (0.0, 20.0, 0.8),
+        ] {
+            let lasted_s = unseen_s(x, y);
+            assert!(abs(lasted_s - expected_s) < 0.11, "{x} {y}: {lasted_s}");
+        }
     }
 
     /// A vehicle brakes so hard that its detections leave the gate of its track. They begin another
