@@ -455,9 +455,9 @@ impl File {
 
     fn user(&mut self, kind: &str, (length, width): (f64, f64), path: &Path, track: &Track) {
         self.count += 1;
-        let states: Vec<String> = track
-            .states
-            .iter()
+        let on_road = |of: &&[f64; 4]| of[0] >= BEGIN_M;
+        let states: Vec<String> = { track.states.iter() }
+            .take_while(on_road)
             .enumerate()
             .map(|(step, of)| {
                 let [s, d, along, across] = *of;
