@@ -22,8 +22,10 @@ pub const SCENE_MAX_AGE: Duration = Duration::from_ms(500);
 
 /// Degraded mode drives no faster than this, m/s (90 km/h).
 const SPEED_CAP: f32 = 25.0;
-/// Distance kept to the end of the lane, m.
+/// Distance kept to the end of the lane, m. A vehicle that is nearer brakes as in a safe stop, or so
+/// hard that it stands at the second.
 const END_MARGIN_M: f32 = 8.0;
+const END_LEAST_M: f32 = 1.0;
 /// Lateral acceleration in curves, m/s².
 const CURVE_ACCELERATION: f32 = 2.5;
 /// Deceleration of a safe stop, m/s².
@@ -202,15 +204,18 @@ fn within_lanes(step: &ControlStep, scene: &Scene, lanes: &Lanes) -> Command {
         keep_distance(&driver, ego, scene, &line, lanes.width, now_at),
     );
     if lanes.own_end.is_finite() {
-        let gap = lanes.own_end - pose.x - 0.5 * LENGTH_M - END_MARGIN_M;
+        let room = lanes.own_end - pose.x - 0.5 * LENGTH_M;
         let end = Leader {
-            gap: gap + driver.standstill_gap,
+            gap: room - END_MARGIN_M + driver.standstill_gap,
             speed: 0.0,
         };
-        acceleration = min(
-            acceleration,
-            idm::acceleration(&driver, ego.speed, Some(end)),
-        );
+        let mut braking = idm::acceleration(&driver, ego.speed, Some(end));
+        if room < END_MARGIN_M {
+            let left = max(room - END_LEAST_M - 0.3 * ego.speed, 0.1);
+            let needed = 0.5 * ego.speed * ego.speed / left;
+            braking = max(braking, -max(SAFE_STOP_BRAKING, needed));
+        }
+        acceleration = min(acceleration, braking);
     }
     Command {
         steering_angle,
@@ -314,6 +319,30 @@ fn keep_distance(
 mod tests {
     use super::*;
     use crate::driving::perception::Perception;
+
+    /// A vehicle that rolls to the end of its lane, nearer than the distance that is kept, does not
+    /// brake hard when this function takes over. It does where it must.
+    #[test]
+    fn who_rolls_to_the_end_of_the_lane_is_not_braked_hard() {
+        for (speed, end, braking) in [(0.5, 7.0, 2.5..2.6), (6.0, 9.0, 4.5..9.0)] {
+            let ego = Ego {
+                speed,
+                ..Ego::default()
+            };
+            let scene = Scene {
+                ego,
+                lanes: Some(Lanes {
+                    own_end: end,
+                    ..Lanes::alone(3.5, 80.0)
+                }),
+                ..Perception::new().scene().clone()
+            };
+            let mut control = DegradedControl::new();
+            control.stop(scene.at, &ego, &scene);
+            let wished = -control.wish().command.acceleration;
+            assert!(braking.contains(&wished), "{speed} {end}: {wished}");
+        }
+    }
 
     /// T-RED-9: another core that has the scene accepts a right step of the functions without a
     /// trajectory, and rejects one with any wrong part.
