@@ -640,6 +640,44 @@ fn the_route_leads_to_its_lane_when_there_is_room() {
     }
 }
 
+/// Where the lane ends, the vehicle falls back behind one beside it that leaves no gap ahead of it
+/// and that it cannot leave behind. Then it changes.
+#[test]
+fn the_vehicle_falls_back_where_another_is_beside_it() {
+    let (speed, first) = (14.0, 40.0);
+    for (beside, fast, falls_back) in [
+        (1.0, false, true),
+        (-1.0, false, true),
+        (-5.5, false, true),
+        (-5.5, true, false),
+        (-20.0, false, false),
+    ] {
+        let objects = [object(first, 3.5, speed), object(beside, 3.5, speed)];
+        let mut planner = Planner::new();
+        let mut plan = None;
+        for cycle in 0..24 {
+            let scene = Scene {
+                set_speed: Some(if fast { 20.0 } else { speed }),
+                lanes: Some(Lanes {
+                    own_end: 180.0,
+                    ..lanes()
+                }),
+                ..scene(1_000 + 50 * cycle, speed, &objects)
+            };
+            plan = Some(planner.plan(&scene));
+        }
+        let plan = plan.unwrap();
+        let last = plan.points[plan.points.len() - 1].speed;
+        assert_eq!(
+            last < speed - 0.5,
+            falls_back,
+            "{beside} {fast}: {last} m/s"
+        );
+        let changes = plan.maneuver == Maneuver::ChangeLeft;
+        assert_eq!(changes, beside == -20.0, "{beside} {fast}");
+    }
+}
+
 /// S-4: lanes that the camera measured before the newest list are moved with the vehicle: 20 ms at
 /// 30 m/s are 0.6 m along a line that is 0.1 rad aside.
 #[test]

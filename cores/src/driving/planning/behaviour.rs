@@ -20,6 +20,8 @@ const POLITENESS: f32 = 0.3;
 /// Braking that a change may ask of the new follower, m/s²; more when the ego lane ends.
 const SAFE_BRAKING: f32 = 2.0;
 const SAFE_BRAKING_AT_END: f32 = 3.5;
+/// A vehicle that may drive this much faster than its follower leaves it behind, m/s.
+const LEAVES_BEHIND: f32 = 1.0;
 /// Time after which the follower reacts to a change, s.
 const REACTION_S: f32 = 0.4;
 /// No change begins while the leader makes the ego brake harder than this, m/s².
@@ -49,8 +51,9 @@ const STANDS: f32 = 0.3;
 const PULL_OUT_M: f32 = 6.0;
 /// The vehicle does not change to a lane that ends within this time, s.
 const LANE_WORTH_S: f32 = 20.0;
-/// The vehicle leaves a lane that ends within this time, s, or within this distance, m.
-const LEAVE_BEFORE_S: f32 = 14.0;
+/// The vehicle leaves a lane that ends within this time, s, or within this distance, m: before the
+/// driver would be asked.
+const LEAVE_BEFORE_S: f32 = 17.0;
 const LEAVE_BEFORE_M: f32 = 200.0;
 
 /// A side of the ego lane.
@@ -119,8 +122,9 @@ pub(crate) struct Goal {
     pub(crate) rest_m: Option<f32>,
     /// Distance to the end of the target lane, m.
     pub(crate) end: f32,
-    /// Centre of the lane in which a gap is sought, m.
-    pub(crate) sought: Option<f32>,
+    /// Centre of the lane in which a gap is sought, m, and from which place along the road on, m:
+    /// it is the gap behind the first vehicle from there on.
+    pub(crate) sought: Option<(f32, f32)>,
 }
 
 /// Decides on the lane; holds the intent and counters between cycles.
@@ -245,7 +249,9 @@ impl Behaviour {
         };
         match self.intent {
             Intent::Keep => Goal {
-                sought: now.forced().map(|(_, centre)| centre),
+                sought: now
+                    .forced()
+                    .map(|(_, centre)| (centre, now.seeks_from(centre))),
                 ..keep
             },
             Intent::Change {
@@ -315,6 +321,12 @@ impl Behaviour {
             self.wishes = [0; 2];
         }
     }
+}
+
+/// Returns the way by which a vehicle comes nearer that closes in with this speed, m/s, until it
+/// has reacted and braked that off, m.
+fn closing_way(closing: f32, braking: f32) -> f32 {
+    closing * (REACTION_S + 0.5 * closing / braking)
 }
 
 fn max_of(a: u16, b: u16) -> u16 {
@@ -441,20 +453,43 @@ impl Situation<'_> {
     /// distance in the reaction time plus that of braking off the speed difference.
     fn is_possible(&self, centre: f32, braking: f32, share: f32) -> bool {
         let (leader, follower) = self.neighbours(centre);
-        let way = |closing: f32| closing * (REACTION_S + 0.5 * closing / braking);
         let leaves_room = leader.is_none_or(|leader| {
             let gap = leader.s - leader.half_length - 0.5 * LENGTH_M;
             let closing = max(self.speed - max(leader.along(1.0).1, 0.0), 0.0);
-            gap >= 2.0 + share * (1.0 + 0.5 * self.speed) + way(closing)
+            gap >= 2.0 + share * (1.0 + 0.5 * self.speed) + closing_way(closing, braking)
         });
-        leaves_room
-            && follower.is_none_or(|follower| {
-                let (own, behind) = (self.next_speed, max(follower.speed, 0.0));
-                // The gap grows until the vehicle reaches the line.
-                let growth = 1.5 * (1.0 - share) * max(own - behind, 0.0);
-                let gap = growth - follower.s - follower.half_length - 0.5 * LENGTH_M;
-                gap >= 2.0 + share * (1.0 + 0.6 * behind) + way(max(behind - own, 0.0))
-            })
+        leaves_room && follower.is_none_or(|it| self.is_ahead_of(it, braking, share))
+    }
+
+    /// Returns whether this follower leaves room for a vehicle that must change, in that form.
+    fn is_ahead_of(&self, follower: &Predicted, braking: f32, share: f32) -> bool {
+        let (own, behind) = (self.next_speed, max(follower.speed, 0.0));
+        // The gap grows until the vehicle reaches the line.
+        let growth = 1.5 * (1.0 - share) * max(own - behind, 0.0);
+        let gap = growth - follower.s - follower.half_length - 0.5 * LENGTH_M;
+        let way = closing_way(max(behind - own, 0.0), braking);
+        gap >= 2.0 + share * (1.0 + 0.6 * behind) + way
+    }
+
+    /// Returns how much of the follower's braking and of the usual distance a change may take at
+    /// this distance to the end of the lane.
+    fn forced_terms(&self) -> (f32, f32) {
+        let near = 1.0 - min(max(self.lanes.own_end, 0.0) / LEAVE_BEFORE_M, 1.0);
+        (
+            lerp(SAFE_BRAKING, SAFE_BRAKING_AT_END, near),
+            lerp(0.4, 0.3, near),
+        )
+    }
+
+    /// Returns from which place along the road on a gap is sought, m: behind a follower that is too
+    /// near and that the vehicle cannot leave behind.
+    fn seeks_from(&self, centre: f32) -> f32 {
+        let (braking, share) = self.forced_terms();
+        let lets_pass = |it: &&Predicted| {
+            self.desired_speed < it.speed + LEAVES_BEHIND && !self.is_ahead_of(it, braking, share)
+        };
+        let follower = self.neighbours(centre).1.filter(lets_pass);
+        follower.map_or(0.0, |it| it.s)
     }
 
     fn wishes(&self, side: Side, forced: Option<Side>) -> bool {
@@ -462,9 +497,8 @@ impl Situation<'_> {
             return false;
         };
         if let Some(forced) = forced {
-            let near = 1.0 - min(max(self.lanes.own_end, 0.0) / LEAVE_BEFORE_M, 1.0);
-            let braking = lerp(SAFE_BRAKING, SAFE_BRAKING_AT_END, near);
-            return side == forced && self.is_possible(centre, braking, lerp(0.4, 0.3, near));
+            let (braking, share) = self.forced_terms();
+            return side == forced && self.is_possible(centre, braking, share);
         }
         if end < max(LANE_WORTH_S * self.speed, 400.0) || self.route == RouteCode::Keep {
             return false;

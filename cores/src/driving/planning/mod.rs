@@ -494,8 +494,8 @@ fn choose_profile(
             corridor.end[step] = end - station.s - END_LEAST_M - 0.5 * LENGTH_M;
         }
     }
-    let sought = goal.sought.and_then(|centre| {
-        let in_lane = |object: &&Predicted| abs(object.d - centre) < half && object.s > 2.0;
+    let sought = goal.sought.and_then(|(centre, from)| {
+        let in_lane = |object: &&Predicted| abs(object.d - centre) < half && object.s >= from;
         let nearer = |a: &&Predicted, b: &&Predicted| {
             a.s.partial_cmp(&b.s).unwrap_or(core::cmp::Ordering::Equal)
         };
@@ -521,14 +521,18 @@ fn choose_profile(
         let is_seen = is_against || object.s <= seen;
         object.is_oncoming() && (!is_seen || away > from_s * (start.first - object.speed))
     };
+    let is_sought = |object: &Predicted| sought.is_some_and(|it| core::ptr::eq(it, object));
     let concerns = |object: &&Predicted| {
-        object.s > station.s && !(object.s > own_end && object.speed < 1.0) && !is_early(object)
+        (object.s > station.s || is_sought(object))
+            && !(object.s > own_end && object.speed < 1.0)
+            && !is_early(object)
     };
     for object in view.objects.iter().filter(concerns) {
-        let is_sought = sought.is_some_and(|leader| leader.s == object.s && leader.d == object.d);
+        let is_sought = is_sought(object);
         // For a vehicle beside the ego, make room gently: braking cannot stop it from swerving in.
-        let is_beside = object.s - station.s < object.half_length + 0.5 * LENGTH_M
-            && abs(object.d - station.offset.value) > object.half_width + 0.5 * WIDTH_M;
+        let away = object.s - station.s;
+        let is_aside = abs(object.d - station.offset.value) > object.half_width + 0.5 * WIDTH_M;
+        let is_beside = away < object.half_length + 0.5 * LENGTH_M && (is_aside || away <= 0.0);
         let reach = object.half_width + 0.5 * WIDTH_M + SIDE_MARGIN_M;
         let nearer = if comes(object) {
             -MEETING_STANDS_S * object.speed
