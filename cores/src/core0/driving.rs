@@ -3,10 +3,10 @@
 use super::plan_check::{Known, PlanCheck};
 use crate::driving::control::{MotionControl, Shaper};
 use crate::driving::degraded::{DegradedControl, SCENE_MAX_AGE};
-use crate::driving::function::{Driver, Function, FunctionState, Inputs, stays_in_domain};
+use crate::driving::function::{Domain, Driver, Function, FunctionState, Inputs};
 use crate::driving::knowledge::Knowledge;
 use crate::driving::parking::{BodyRequest, BodyState, Parking, SocSample};
-use crate::driving::types::{Command, ControlStep, Ego, Scene, Trajectory};
+use crate::driving::types::{Command, ControlStep, Ego, Maneuver, Scene, Trajectory};
 use crate::trace::Event;
 use tandem_board::{Duration, Instant};
 use tandem_redundancy::Mode;
@@ -52,7 +52,7 @@ pub struct Driving {
     function: Function,
     driver: Driver,
     /// The vehicle stays within the operational design domain, as far as is known.
-    in_domain: bool,
+    domain: Domain,
     /// The SoC has brought the vehicle to a place to which no trajectory led, and nothing has
     /// followed one since.
     off_plan: bool,
@@ -79,7 +79,7 @@ impl Driving {
             follows: 0,
             function: Function::default(),
             driver: Driver::Unheard,
-            in_domain: true,
+            domain: Domain::default(),
             off_plan: false,
         }
     }
@@ -152,9 +152,14 @@ impl Driving {
         let fresh = |scene: &&Scene| now.since(scene.at) <= SCENE_MAX_AGE;
         let scene = self.scene.as_ref().filter(fresh);
         let lanes = scene.and_then(|scene| Some((scene.lanes.as_ref()?, scene.ego.speed)));
+        let is_new = |plan: &&Trajectory| now.since(plan.at) <= SCENE_MAX_AGE;
+        // Only one that is followed changes lanes.
+        let followed = self.trajectory.as_ref().filter(is_new);
+        let followed = followed.filter(|_| self.function.state().mode(permitted) == Mode::L3);
+        let maneuver = followed.map_or(Maneuver::Follow, |plan| plan.maneuver);
         // Missing lanes change nothing here: the function is then blind and stops.
         if let Some((lanes, speed)) = lanes {
-            self.in_domain = stays_in_domain(lanes, speed, self.in_domain);
+            self.domain.cycle(now, lanes, speed, maneuver);
         }
         self.function.cycle(
             now,
@@ -163,7 +168,8 @@ impl Driving {
                 driver: self.driver,
                 sees: moves && lanes.is_some(),
                 // The vehicle also leaves the domain if a sensor is lost.
-                in_domain: self.in_domain && self.scene.as_ref().is_none_or(|it| it.missing == 0),
+                in_domain: self.domain.stays()
+                    && self.scene.as_ref().is_none_or(|it| it.missing == 0),
                 parks: self.driver == Driver::Parks && self.parking.may_begin(now, ego),
                 soc_silent: self.parking.silent(now).is_some(),
             },

@@ -13,7 +13,7 @@ use strum::VariantArray;
 use tandem_board::{Duration, Instant};
 use tandem_redundancy::Mode;
 
-use super::types::Lanes;
+use super::types::{Lanes, Maneuver};
 
 /// How long degraded mode may last before it asks the driver to take over: long enough for a system
 /// that was reset to come back.
@@ -35,33 +35,66 @@ pub const END_LIMIT: Duration =
 const STOP_BRAKING: f32 = 2.5;
 /// … at this distance before the end of the domain, m.
 const STANDS_BEFORE_M: f32 = 30.0;
-/// Replaces that limit while an adjacent lane continues, s: the vehicle first changes lanes.
-const CHANGE_S: f32 = 4.0;
+/// Where an adjacent lane continues, a change to it may begin for this long before the driver is
+/// asked: a lane that is free needs no driver.
+const BEGINS_CHANGE: Duration = Duration::from_ms(1_500);
 /// A lane continues if it ends at least this much farther away than the ego lane, m.
 const CONTINUES_M: f32 = 50.0;
 /// The request ends only beyond this many times the distance at which the driver is asked, because
 /// the measured distance is noisy.
 const TAKEN_BACK: f32 = 1.3;
 
-/// Returns whether a vehicle with this `speed`, m/s, stays within the operational design domain,
-/// and in a lane that does not end, for as long as it takes to ask the driver and to stop.
-/// `stayed`: the result of the previous cycle.
-#[must_use]
-pub fn stays_in_domain(lanes: &Lanes, speed: f32, stayed: bool) -> bool {
-    if lanes.own_end == f32::INFINITY {
-        return true;
+/// Whether the vehicle stays within the operational design domain, and in a lane that does not end.
+#[derive(Clone, Copy, Debug)]
+pub struct Domain {
+    stays: bool,
+    /// Since when the end is nearer than the driver needs.
+    near_since: Option<Instant>,
+}
+
+impl Default for Domain {
+    fn default() -> Self {
+        Self {
+            stays: true,
+            near_since: None,
+        }
     }
-    let continues =
-        |lane: Option<f32>, end: f32| lane.is_some() && end > lanes.own_end + CONTINUES_M;
-    let beside = continues(lanes.left, lanes.left_end) || continues(lanes.right, lanes.right_end);
-    let asked_s = match (beside, lanes.ends_domain) {
-        (true, true) => CHANGE_S,
-        // The vehicle merges where it can, and brakes from there on.
-        (true, false) => 0.0,
-        (false, _) => TAKEOVER_LIMIT.as_secs_f32(),
-    };
-    let way = STANDS_BEFORE_M + speed * (asked_s + speed / (2.0 * STOP_BRAKING));
-    lanes.own_end > if stayed { way } else { TAKEN_BACK * way }
+}
+
+impl Domain {
+    /// Returns whether the vehicle stays there, as of the last cycle.
+    #[must_use]
+    pub const fn stays(&self) -> bool {
+        self.stays
+    }
+
+    /// Decides whether a vehicle with this `speed`, m/s, stays there for as long as it takes to ask
+    /// the driver and to stop, or leaves its lane in time: `maneuver` is what it carries out.
+    pub fn cycle(&mut self, now: Instant, lanes: &Lanes, speed: f32, maneuver: Maneuver) {
+        let continues =
+            |lane: Option<f32>, end: f32| lane.is_some() && end > lanes.own_end + CONTINUES_M;
+        let left = continues(lanes.left, lanes.left_end);
+        let right = continues(lanes.right, lanes.right_end);
+        let changes = match maneuver {
+            Maneuver::ChangeLeft => left,
+            Maneuver::ChangeRight => right,
+            Maneuver::Follow | Maneuver::Brake => false,
+        };
+        let stop_m = STANDS_BEFORE_M + speed * speed / (2.0 * STOP_BRAKING);
+        let asked_m = stop_m + speed * TAKEOVER_LIMIT.as_secs_f32();
+        let near_m = if self.stays {
+            asked_m
+        } else {
+            TAKEN_BACK * asked_m
+        };
+        if lanes.own_end > near_m || changes {
+            *self = Self::default();
+            return;
+        }
+        let since = *self.near_since.get_or_insert(now);
+        let may_begin = (left || right) && lanes.own_end > stop_m;
+        self.stays &= may_begin && now.since(since) < BEGINS_CHANGE;
+    }
 }
 
 /// State of the driving function.
@@ -477,48 +510,59 @@ mod tests {
         assert_eq!(function.cycle(MS(40), &DRIVES), FunctionState::Active);
     }
 
-    /// The request leaves time for an answer and a stop. It is made later while an adjacent lane
-    /// continues, and noise of the distance does not toggle it.
+    /// The request leaves time for an answer and a stop, also where a lane beside continues but has
+    /// no gap. A change to it that is under way makes none, and one may begin for 1.5 s. Noise of the
+    /// distance does not toggle it.
     #[test]
     fn the_domain_is_left_when_its_end_is_nearer_than_request_and_stop() {
-        let lanes = |own_end: f32, left: Option<f32>| Lanes {
-            left,
-            own_end,
-            ends_domain: true,
+        use Maneuver::{Brake, ChangeLeft, ChangeRight, Follow};
+        const FAR: f32 = f32::INFINITY;
+        // 20 m/s: 200 m in ten seconds, 80 m to stop, 30 m before the end.
+        for (end, left, maneuver, stayed, stays) in [
+            (311.0, None, Follow, true, [true, true]),
+            (309.0, None, Follow, true, [false, false]),
+            (311.0, None, Follow, false, [false, false]),
+            (404.0, None, Follow, false, [true, true]),
+            // No gap yet, and then too near to wait for one.
+            (311.0, Some(FAR), Follow, true, [true, true]),
+            (309.0, Some(FAR), Follow, true, [true, false]),
+            (311.0, Some(FAR), Follow, false, [false, false]),
+            (109.0, Some(FAR), Follow, true, [false, false]),
+            (309.0, Some(FAR), Brake, true, [true, false]),
+            // A change is under way: to a lane that continues, or to one that does not.
+            (309.0, Some(FAR), ChangeLeft, true, [true, true]),
+            (40.0, Some(FAR), ChangeLeft, false, [true, true]),
+            (309.0, Some(FAR), ChangeRight, true, [true, false]),
+            (309.0, Some(330.0), ChangeLeft, true, [false, false]),
+            (309.0, None, ChangeLeft, true, [false, false]),
+            (FAR, None, Follow, false, [true, true]),
+        ] {
+            for ends_domain in [false, true] {
+                let lanes = Lanes {
+                    left: left.map(|_| 3.5),
+                    left_end: left.unwrap_or(FAR),
+                    own_end: end,
+                    ends_domain,
+                    ..Lanes::alone(3.5, 80.0)
+                };
+                let mut domain = Domain {
+                    stays: stayed,
+                    ..Domain::default()
+                };
+                let answers = [0, 1_500].map(|ms| {
+                    domain.cycle(MS(ms), &lanes, 20.0, maneuver);
+                    domain.stays()
+                });
+                assert_eq!(answers, stays, "{end} {left:?} {maneuver:?} {stayed}");
+            }
+        }
+        let near = Lanes {
+            own_end: 17.0,
             ..Lanes::alone(3.5, 80.0)
         };
-        // 20 m/s: 200 m in ten seconds, 80 m to stop, 30 m before the end.
-        for (end, left, stayed, stays) in [
-            (311.0, None, true, true),
-            (309.0, None, true, false),
-            (311.0, None, false, false),
-            (404.0, None, false, true),
-            (309.0, Some(3.5), true, true),
-            (189.0, Some(3.5), true, false),
-        ] {
-            let answer = stays_in_domain(&lanes(end, left), 20.0, stayed);
-            assert_eq!(answer, stays, "{end} {left:?} {stayed}");
-        }
-        // A lane that ends asks for the driver as early, or where the vehicle has to brake if it
-        // can still merge: 80 m to stop from 20 m/s.
-        for (end, left, stays) in [
-            (311.0, None, true),
-            (309.0, None, false),
-            (111.0, Some(3.5), true),
-            (109.0, Some(3.5), false),
-            (f32::INFINITY, None, true),
-        ] {
-            let lane_ends = Lanes {
-                ends_domain: false,
-                ..lanes(end, left)
-            };
-            assert_eq!(
-                stays_in_domain(&lane_ends, 20.0, true),
-                stays,
-                "{end} {left:?}"
-            );
-        }
-        assert!(!stays_in_domain(&lanes(17.0, None), 0.0, true), "stands");
+        let mut domain = Domain::default();
+        domain.cycle(MS(0), &near, 0.0, Follow);
+        assert!(!domain.stays(), "stands");
     }
 
     #[test]
