@@ -22,8 +22,8 @@ pub const SCENE_MAX_AGE: Duration = Duration::from_ms(500);
 
 /// Degraded mode drives no faster than this, m/s (90 km/h).
 const SPEED_CAP: f32 = 25.0;
-/// Distance kept to the end of the lane, m. A vehicle that is nearer brakes as in a safe stop, or so
-/// hard that it stands at the second.
+/// Distance kept to the end of the lane, m. A vehicle that is nearer brakes as in a safe stop, or
+/// so hard that it stands at the second.
 const END_MARGIN_M: f32 = 8.0;
 const END_LEAST_M: f32 = 1.0;
 /// Lateral acceleration in curves, m/s².

@@ -511,8 +511,8 @@ mod tests {
     }
 
     /// The request leaves time for an answer and a stop, also where a lane beside continues but has
-    /// no gap. A change to it that is under way makes none, and one may begin for 1.5 s. Noise of the
-    /// distance does not toggle it.
+    /// no gap. A change to it that is under way makes none, and one may begin for 1.5 s. Noise of
+    /// the distance does not toggle it.
     #[test]
     fn the_domain_is_left_when_its_end_is_nearer_than_request_and_stop() {
         use Maneuver::{Brake, ChangeLeft, ChangeRight, Follow};
