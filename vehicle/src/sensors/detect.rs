@@ -307,7 +307,8 @@ impl Detector {
     }
 
     /// Returns the detection of one vehicle that is seen, if it is not missed. The part that is in
-    /// the field of view tells where a centre beside it is: the error grows by that distance.
+    /// the field of view tells where a centre beside it is: along the vehicle, the error grows by
+    /// that distance, up to a quarter of its length.
     fn detect(
         &mut self,
         origin: Pose,
@@ -330,9 +331,11 @@ impl Detector {
         }
         let range_deviation = accuracy.range + accuracy.range_growth * distance;
         let measured = distance + self.noise.normal(range_deviation);
-        let angle_deviation = accuracy.angle.hypot(beside);
-        let direction = angle + self.noise.normal(angle_deviation);
-        let position = mount.to_world(Vec2::from_angle(direction) * measured);
+        let direction = angle + self.noise.normal(accuracy.angle);
+        let hidden = (beside * distance).min(0.25 * footprint.length);
+        let forward = ego.pose.unrotate(vehicle.frame.forward());
+        let position = mount.to_world(Vec2::from_angle(direction) * measured)
+            + forward * self.noise.normal(hidden);
 
         let over_ground = vehicle.frame.forward() * vehicle.participant.speed;
         let relative = ego.pose.unrotate(over_ground - ego.velocity());
@@ -342,7 +345,12 @@ impl Detector {
             + sight.left() * self.noise.normal(accuracy.tangential_speed);
 
         let (cos, sin) = (sight.x.abs(), sight.y.abs());
-        let across = angle_deviation * distance;
+        let across = accuracy.angle * distance;
+        let deviation = |cos: f64, sin: f64, forward: f64| {
+            (range_deviation * cos)
+                .hypot(across * sin)
+                .hypot(hidden * forward) as f32
+        };
         let class = if *classifies {
             vehicle.class
         } else {
@@ -357,8 +365,8 @@ impl Detector {
             vy: velocity.y as f32,
             length: (footprint.length + self.noise.normal(accuracy.size)).max(0.1) as f32,
             width: (footprint.width + self.noise.normal(accuracy.size)).max(0.1) as f32,
-            x_deviation: (range_deviation * cos).hypot(across * sin) as f32,
-            y_deviation: (range_deviation * sin).hypot(across * cos) as f32,
+            x_deviation: deviation(cos, sin, forward.x),
+            y_deviation: deviation(sin, cos, forward.y),
         })
     }
 }
