@@ -334,8 +334,10 @@ impl Detector {
         let direction = angle + self.noise.normal(accuracy.angle);
         let hidden = (beside * distance).min(0.25 * footprint.length);
         let forward = ego.pose.unrotate(vehicle.frame.forward());
-        let position = mount.to_world(Vec2::from_angle(direction) * measured)
-            + forward * self.noise.normal(hidden);
+        let mut position = mount.to_world(Vec2::from_angle(direction) * measured);
+        if hidden > 0.0 {
+            position = position + forward * self.noise.normal(hidden);
+        }
 
         let over_ground = vehicle.frame.forward() * vehicle.participant.speed;
         let relative = ego.pose.unrotate(over_ground - ego.velocity());
