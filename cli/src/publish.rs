@@ -195,8 +195,8 @@ impl Growing {
         }
     }
 
-    /// Reads what was added, and sends what observers need of it to the publisher, in whole entries.
-    /// Returns how much was added.
+    /// Reads what was added, and sends what observers need of it to the publisher, in whole
+    /// entries. Returns how much was added.
     fn hand_over(&mut self, to: &UnixDatagram) -> usize {
         if self.file.is_none() {
             self.file = File::open(&self.path).ok();

@@ -49,7 +49,7 @@ mod tests {
     use tandem_cores::task_table::TaskCode;
     use tandem_cores::trace::{Begin, Leaves};
 
-    /// Observers see that a core runs, when its control cycles begin, and all that is no scheduling.
+    /// Observers see that a core runs, when its control cycles begin, and all but scheduling.
     #[test]
     fn records_of_schedulers_are_left_out() {
         let (roles, control) = (TaskCode::ROLES, TaskCode::CONTROL);

@@ -32,7 +32,7 @@ const BENDS: f64 = 0.003;
 const BEND_ACCELERATION: f64 = 2.2;
 const BEND_BRAKING: f64 = 1.3;
 const BEND_MARGIN: f64 = 15.0;
-const BEND_AHEAD_S: f64 = 2.5;
+const BEND_AHEAD_S: f64 = 2.7;
 /// Distance between two places at which bends are looked for, m.
 const BEND_STEP: f64 = 5.0;
 /// No bend has a sign with a higher speed than this, m/s: that of the domain.
@@ -242,7 +242,7 @@ mod tests {
     use crate::road::Frenet;
 
     /// A fast vehicle reads before a bend the speed that a slow one reads where the fast one is
-    /// 2.5 s later.
+    /// 2.7 s later.
     #[test]
     fn the_speed_before_a_bend_is_signed_early() {
         let mut compared = 0;
