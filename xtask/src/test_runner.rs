@@ -1,5 +1,6 @@
 //! `cargo xtask test`: runs all tests, counts them, and lists those that failed.
 
+use crate::suites::FREERTOS;
 use crate::{cargo, run};
 use anyhow::{Result, ensure};
 use std::collections::BTreeSet;
@@ -13,8 +14,8 @@ pub(crate) fn test(root: &Path) -> Result<()> {
     if std::env::var_os("TANDEM_SCENARIOS").is_none() {
         println!("SKIPPED: recorded scenarios (TANDEM_SCENARIOS=FOLDER is not set)");
     }
-    if std::env::var_os("TANDEM_FREERTOS").is_none() {
-        println!("SKIPPED: FreeRTOS's standard demo tasks (TANDEM_FREERTOS=FOLDER is not set)");
+    if std::env::var_os(FREERTOS).is_none() {
+        println!("SKIPPED: FreeRTOS's standard demo tasks ({FREERTOS}=FOLDER is not set)");
     }
     run(cargo(root, &["build", "--workspace", "--all-targets"]))?;
     let nextest = cargo(root, &["nextest", "--version"]).output();

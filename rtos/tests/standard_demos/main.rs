@@ -132,7 +132,13 @@ fn release() -> Option<PathBuf> {
         // The test runner does not capture this output, so a skipped test is visible.
         let _ = writeln!(std::io::stderr(), "SKIPPED {name}: {VARIABLE} is not set");
     }
-    folder.map(PathBuf::from)
+    let folder = PathBuf::from(folder?);
+    let has_demos = folder.join("FreeRTOS/Demo/Common/Minimal").is_dir();
+    assert!(
+        folder.is_absolute() && has_demos,
+        "{VARIABLE}={folder:?} is not the absolute path of a release of FreeRTOS"
+    );
+    Some(folder)
 }
 
 /// Links `program` with a suite of the release, and with these definitions for `suite.c`.

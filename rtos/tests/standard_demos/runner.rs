@@ -21,8 +21,10 @@ const CPU_PER_TICK: Duration = Duration::from_micros(250);
 /// How often the suite is asked whether it works, and how many times. 20 s in all.
 const CHECK_EVERY: Ticks = Ticks::from_millis(5_000);
 const CHECKS: u32 = 4;
-/// The watchdog: CPU time without a tick.
+/// The watchdogs: CPU time without a tick, and the time of a program that sleeps for ever. A suite
+/// takes seconds.
 const LIMIT: Duration = Duration::from_secs(10);
+const WALL_LIMIT: Duration = Duration::from_secs(600);
 /// The check, and the task by which time passes, are above the tasks of the suite.
 const ABOVE: Priority = Priority::HIGHEST;
 
@@ -71,7 +73,8 @@ fn watch(kernel: libc::pthread_t, clock: libc::clockid_t) {
             // A known gap of the port: if a signal arrives together with a tick that switches, no
             // further one is sent until the next tick, which only this ring can bring.
             if cpu - ticked >= 2 * CPU_PER_TICK {
-                // SAFETY: that thread never ends; the port has a handler of this signal.
+                // SAFETY: that thread never ends; the port has a handler of this signal, its
+                // `raise_signal`.
                 unsafe { libc::pthread_kill(kernel, libc::SIGRTMIN() + 2) };
             }
         }
@@ -123,6 +126,11 @@ fn fill(kernel: &Kernel) {
 /// Returns 0 if the suite passed each check, otherwise 1.
 #[unsafe(no_mangle)]
 extern "C" fn main() -> i32 {
+    thread::spawn(|| {
+        thread::sleep(WALL_LIMIT);
+        eprintln!("no end after {WALL_LIMIT:?}");
+        std::process::abort();
+    });
     let kernel = Kernel::take().expect("nothing else runs here");
     fill(&kernel);
     kernel.start(TickSource::Virtual).expect("it starts");

@@ -21,7 +21,8 @@ const SIGNALLED: u64 = 1 << 32;
 /// Whether the signal has arrived and `PENDING` was not read since. Only the core's thread uses it.
 static ARRIVED: AtomicBool = AtomicBool::new(false);
 
-/// Returns the signal for interrupts of other threads.
+/// Returns the signal for interrupts of other threads, which
+/// `rtos/tests/standard_demos/runner.rs` sends too.
 fn raise_signal() -> i32 {
     libc::SIGRTMIN() + 2
 }
