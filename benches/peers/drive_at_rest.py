@@ -68,7 +68,10 @@ def beside(command, warm_up_s, seconds):
     running = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         time.sleep(warm_up_s)
-        return measure(running.pid, seconds)
+        rows = measure(running.pid, seconds)
+        if running.poll() is not None:
+            raise SystemExit(f"{command} ended before it was measured")
+        return rows
     finally:
         running.wait()
 

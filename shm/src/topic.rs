@@ -40,7 +40,8 @@ pub trait Publish<T> {
     type Error: core::fmt::Debug;
 
     /// Publishes the value that `fill` writes in place. Before, the place holds any old or default
-    /// value. Never blocks; a panic in `fill` publishes nothing.
+    /// value. Never blocks; a panic in `fill` publishes nothing. A topic that nothing subscribes to
+    /// may do nothing.
     ///
     /// # Errors
     /// If the value was not published; the topic is unchanged.

@@ -256,8 +256,9 @@ impl Supply<'_> {
         (now + period).min(self.model.next().max(now + PERIOD))
     }
 
-    /// Sleeps until a process ends, a poke arrives or the next tick is due. Returns `false` if no
-    /// process has ended and no poke waits. One that arrives as the sleep ends also ends the next.
+    /// Sleeps until a process ends, a poke arrives or the next tick is due. Returns `false` if the
+    /// tick was due, or if the signal of a poke interrupted the sleep. That poke, or a process that
+    /// ends as the sleep ends, stays readable and ends the next sleep at once.
     fn sleep(&self, vehicle: &Watched, next: Instant) -> bool {
         let is_watched = |core: &PoweredCore| core.watched.is_some();
         let all_watched = self.cores.iter().flatten().all(is_watched);

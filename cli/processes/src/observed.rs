@@ -9,9 +9,10 @@ use tandem_record::clocks::begins_control_cycle;
 use tandem_record::{Entry, file};
 
 /// Moves the whole entries at the beginning of `bytes` to `into`, in order, without the records of
-/// schedulers. Of these it moves the start of each control cycle, and last the newest one of each
-/// core, which shows that the core runs.
+/// schedulers. Of these it moves the start of each control cycle, and first the newest one of each
+/// core, which shows that the core runs while the entries after it are published.
 pub fn select(bytes: &mut Vec<u8>, into: &mut Vec<u8>) {
+    let begin = into.len();
     let mut newest = [None; CoreAddress::COUNT];
     let mut rest = &bytes[..];
     while let Some(end) = file::whole_entries(rest, 0) {
@@ -22,9 +23,8 @@ pub fn select(bytes: &mut Vec<u8>, into: &mut Vec<u8>) {
             None => into.extend_from_slice(entry),
         }
     }
-    for entry in newest.into_iter().flatten() {
-        into.extend_from_slice(entry);
-    }
+    let newest: Vec<u8> = newest.into_iter().flatten().flatten().copied().collect();
+    into.splice(begin..begin, newest);
     let taken = bytes.len() - rest.len();
     bytes.drain(..taken);
 }
@@ -76,13 +76,15 @@ mod tests {
         ];
         let mut bytes = vec![];
         for (at_ns, event) in (0..).zip(events) {
-            let traced = Traced {
-                at: Instant::from_ns(at_ns),
-                system: SystemId::B,
-                core: CoreId::CONTROL,
-                record: event.encode(),
-            };
-            Entry::Trace(traced).write(&mut bytes).unwrap();
+            for core in [CoreId::CONTROL, CoreId::PERCEPTION] {
+                let traced = Traced {
+                    at: Instant::from_ns(at_ns),
+                    system: SystemId::B,
+                    core,
+                    record: event.encode(),
+                };
+                Entry::Trace(traced).write(&mut bytes).unwrap();
+            }
         }
         // A part of an entry stays.
         bytes.push(7);
@@ -90,11 +92,12 @@ mod tests {
         select(&mut bytes, &mut selected);
         read(&selected, &mut |entry| {
             if let Entry::Trace(traced) = entry {
-                passed.push(Event::decode(traced.record).unwrap());
+                passed.push((traced.core, Event::decode(traced.record).unwrap()));
             }
         })
         .unwrap();
-        assert_eq!(passed, [events[1], events[2], events[4]]);
+        let both = |event| [CoreId::CONTROL, CoreId::PERCEPTION].map(|core| (core, event));
+        assert_eq!(passed, [4, 1, 2].map(|index| both(events[index])).concat());
         assert_eq!(bytes, [7]);
     }
 }
