@@ -7,6 +7,7 @@ use crate::driving::knowledge::Known;
 use crate::driving::math::{abs, clamp, lerp, max, min};
 use crate::driving::odometry::{Axes, EgoPose};
 use crate::driving::types::Ego;
+use crate::driving::vehicle::WIDTH_M;
 
 /// Motion along the road: vehicles brake with up to 8 m/s² within half a second.
 const ALONG: Motion = Motion {
@@ -48,11 +49,15 @@ const TENTATIVE_COAST_S: f32 = 0.12;
 const COAST_S: f32 = 0.8;
 /// The same for a track close beside the ego vehicle, where the fields of view may leave a gap, s.
 const BESIDE_COAST_S: f32 = 2.0;
-/// The same where no radar sees: it cannot have left that place unseen, s.
+/// A confirmed track that may be where no radar sees it is kept for this long, s.
 const HIDDEN_COAST_S: f32 = 10.0;
 /// On either side, the fields of view of the corner radars leave out a triangle: half of it along
 /// the vehicle's middle line, and how far aside they meet, m.
 const HIDDEN_M: (f32, f32) = (2.4, 4.2);
+/// However uncertain its place is: it may be this much farther along, m.
+const HIDDEN_DEVIATION_M: f32 = 1.0;
+/// Of a longer object, at least this share reaches out of there, and it is seen.
+const SEEN_SHARE: f32 = 0.25;
 /// Detections of one round lie within this time, s.
 const ROUND_S: f32 = 0.03;
 
@@ -322,11 +327,14 @@ impl Track {
         self.unseen_s > patience
     }
 
-    /// Returns whether it may be where no radar sees it, as far as its place is known.
+    /// Returns whether it may be where no radar sees it, as far as its place is known: beside the
+    /// vehicle, and so small that it fits there.
     fn may_be_hidden(&self) -> bool {
         let (along, aside) = HIDDEN_M;
-        let half = along * (1.0 - abs(self.y.position()) / aside);
-        half > 0.0 && abs(self.x.position()) < half + self.x.deviation()
+        let y = abs(self.y.position());
+        let half = along * (1.0 - y / aside);
+        let fits = 0.5 * (1.0 - SEEN_SHARE) * self.length < half && y > 0.5 * WIDTH_M;
+        fits && abs(self.x.position()) < half + min(self.x.deviation(), HIDDEN_DEVIATION_M)
     }
 
     /// Returns whether both tracks are the same object: two vehicles cannot be in one place.
@@ -378,14 +386,16 @@ mod tests {
         Detection::new(SensorId::RadarFront, &object, &Ego::default())
     }
 
-    /// A road user that no radar sees stays in the scene while it can still be in the triangle
-    /// between the fields of view: 10 s abreast, 2 s beside it, 0.8 s far away.
+    /// A road user that no radar sees stays in the scene while it fits into the triangle between
+    /// the fields of view: 10 s abreast, 2 s beside it, 0.8 s far away.
     #[test]
     fn a_track_stays_where_no_radar_sees() {
-        let unseen_s = |x: f32, y: f32| {
+        let unseen_s = |length: f32, x: f32, y: f32| {
             let object = SensorObject {
                 x,
                 y,
+                length,
+                width: 0.6,
                 x_deviation: 0.2,
                 y_deviation: 0.2,
                 ..SensorObject::default()
@@ -401,14 +411,21 @@ mod tests {
             }
             0.05 * cycles
         };
-        for (x, y, expected_s) in [
-            (0.0, 2.0, 10.0),
-            (-0.5, -2.5, 10.0),
-            (0.0, 5.0, 2.0),
-            (0.0, 20.0, 0.8),
+        for (length, x, y, expected_s) in [
+            (0.6, 0.0, 2.0, 10.0),
+            (1.8, -0.5, -2.0, 10.0),
+            (0.6, 0.0, 5.0, 2.0),
+            (0.6, 0.0, 20.0, 0.8),
+            // A car reaches out; nobody is within the vehicle; the front radar sees what is ahead.
+            (4.5, 0.0, 2.0, 2.0),
+            (0.6, 0.3, 0.5, 2.0),
+            (0.6, 4.5, 0.0, 2.0),
         ] {
-            let lasted_s = unseen_s(x, y);
-            assert!(abs(lasted_s - expected_s) < 0.11, "{x} {y}: {lasted_s}");
+            let lasted_s = unseen_s(length, x, y);
+            assert!(
+                abs(lasted_s - expected_s) < 0.11,
+                "{length} {x} {y}: {lasted_s}"
+            );
         }
     }
 
