@@ -157,6 +157,10 @@ impl Driving {
         let followed = self.trajectory.as_ref().filter(is_new);
         let followed = followed.filter(|_| self.function.state().mode(permitted) == Mode::L3);
         let maneuver = followed.map_or(Maneuver::Follow, |plan| plan.maneuver);
+        // What was near while the driver drove is no end that the function has come to.
+        if !self.function.state().is_driving() {
+            self.domain = Domain::default();
+        }
         // Missing lanes change nothing here: the function is then blind and stops.
         if let Some((lanes, speed)) = lanes {
             self.domain.cycle(now, lanes, speed, maneuver);

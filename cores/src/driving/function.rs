@@ -87,13 +87,14 @@ impl Domain {
         } else {
             TAKEN_BACK * asked_m
         };
-        if lanes.own_end > near_m || changes {
+        if lanes.own_end > near_m {
             *self = Self::default();
             return;
         }
+        // A change that is broken off and begun again gives no new time to begin one.
         let since = *self.near_since.get_or_insert(now);
-        let may_begin = (left || right) && lanes.own_end > stop_m;
-        self.stays &= may_begin && now.since(since) < BEGINS_CHANGE;
+        let is_early = lanes.own_end > stop_m && now.since(since) < BEGINS_CHANGE;
+        self.stays &= changes || (left || right) && is_early;
     }
 }
 
@@ -531,30 +532,42 @@ mod tests {
             (309.0, Some(FAR), Brake, true, [true, false]),
             // A change is under way: to a lane that continues, or to one that does not.
             (309.0, Some(FAR), ChangeLeft, true, [true, true]),
-            (40.0, Some(FAR), ChangeLeft, false, [true, true]),
+            (40.0, Some(FAR), ChangeLeft, true, [true, true]),
+            (40.0, Some(FAR), ChangeLeft, false, [false, false]),
             (309.0, Some(FAR), ChangeRight, true, [true, false]),
             (309.0, Some(330.0), ChangeLeft, true, [false, false]),
             (309.0, None, ChangeLeft, true, [false, false]),
             (FAR, None, Follow, false, [true, true]),
         ] {
-            for ends_domain in [false, true] {
-                let lanes = Lanes {
-                    left: left.map(|_| 3.5),
-                    left_end: left.unwrap_or(FAR),
-                    own_end: end,
-                    ends_domain,
-                    ..Lanes::alone(3.5, 80.0)
-                };
-                let mut domain = Domain {
-                    stays: stayed,
-                    ..Domain::default()
-                };
-                let answers = [0, 1_500].map(|ms| {
-                    domain.cycle(MS(ms), &lanes, 20.0, maneuver);
-                    domain.stays()
-                });
-                assert_eq!(answers, stays, "{end} {left:?} {maneuver:?} {stayed}");
-            }
+            let lanes = Lanes {
+                left: left.map(|_| 3.5),
+                left_end: left.unwrap_or(FAR),
+                own_end: end,
+                ..Lanes::alone(3.5, 80.0)
+            };
+            let mut domain = Domain {
+                stays: stayed,
+                ..Domain::default()
+            };
+            let answers = [0, 1_500].map(|ms| {
+                domain.cycle(MS(ms), &lanes, 20.0, maneuver);
+                domain.stays()
+            });
+            assert_eq!(answers, stays, "{end} {left:?} {maneuver:?} {stayed}");
+        }
+        // Changes that are broken off: the driver is asked once, after 1.5 s.
+        let mut domain = Domain::default();
+        for ms in (0..12_000).step_by(50) {
+            let changes = ms % 1_300 < 300;
+            let lanes = Lanes {
+                left: Some(3.5),
+                left_end: FAR,
+                own_end: 300.0 - 0.02 * ms as f32,
+                ..Lanes::alone(3.5, 80.0)
+            };
+            let maneuver = if changes { ChangeLeft } else { Follow };
+            domain.cycle(MS(ms), &lanes, 20.0, maneuver);
+            assert_eq!(domain.stays(), ms < 1_600, "{ms}");
         }
         let near = Lanes {
             own_end: 17.0,
