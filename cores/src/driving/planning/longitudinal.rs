@@ -65,8 +65,8 @@ const MAX_BRAKING: f32 = 8.0;
 /// comfortable one exceeds `TOLERABLE_DANGER`.
 pub(crate) const COMFORTABLE_BRAKING: f32 = 4.0;
 const TOLERABLE_DANGER: f32 = 40.0;
-/// Beyond this jerk, m/s³, a motion is an emergency: it is chosen only if the danger of each other
-/// one exceeds `EMERGENCY_DANGER` and touches what is ahead.
+/// Beyond this jerk, m/s³, a motion is an emergency: it is chosen only if the cheapest other one
+/// touches what is ahead, and its danger exceeds `EMERGENCY_DANGER`.
 const SMOOTH_JERK: f32 = 8.0;
 const EMERGENCY_DANGER: f32 = 100.0;
 /// Full braking, m/s².
