@@ -67,6 +67,8 @@ pub struct Section {
     pub speed_limit: f64,
     /// Cars must not drive here.
     pub is_refused: bool,
+    /// A bend so sharp that the smooth centre line leaves the map's.
+    pub(crate) is_corner: bool,
 }
 
 /// A lane: a smooth centre line, its width and its neighbours.
@@ -391,8 +393,15 @@ fn lane(
         run_out
     };
     points.push(raw.points[raw.points.len() - 1] + Vec2::from_angle(heading) * RUN_OUT);
-    let smooth = smooth::smoothed(&smooth::resampled(&points, STEP), STEP);
+    let map = smooth::resampled(&points, STEP);
+    let smooth = smooth::smoothed(&map, STEP);
     let centres = smooth::resampled(&smooth, STEP);
+    // Both lines have the same ends, and nearly the same length.
+    let is_corner = |index: usize| {
+        let at = index * (map.len() - 1) / (centres.len() - 1);
+        (map[at] - smooth[at]).norm() > domain::MOVED_MAX
+            && smooth::turn(&map, at, STEP) * domain::RADIUS_MIN > smooth::TURN_M
+    };
 
     let headings = smooth::headings(&centres);
     let mapped = raw.stations[raw.stations.len() - 1];
@@ -413,6 +422,7 @@ fn lane(
                 right: lane_of(lanelet.right_neighbour),
                 speed_limit: lanelet.speed_limit.unwrap_or(f64::INFINITY),
                 is_refused: lanelet.is_refused,
+                is_corner: is_corner(index),
             }
         })
         .collect();

@@ -15,7 +15,10 @@ use crate::geometry::wrap_angle;
 /// Width of a lane, m.
 const WIDTH: std::ops::RangeInclusive<f64> = 2.3..=7.0;
 /// Smallest radius of a bend, m.
-const RADIUS_MIN: f64 = 20.0;
+pub(super) const RADIUS_MIN: f64 = 20.0;
+/// Smoothing may hide a bend of the map that is sharper than that. The vehicle follows the smooth
+/// line: where that is farther than this from the map's, m, it would leave the lane.
+pub(super) const MOVED_MAX: f64 = 1.5;
 /// Where the ego starts: the largest angle to its lane, rad, and the highest speed, m/s.
 const START_ANGLE: f64 = 0.7;
 const START_SPEED_MAX: f64 = 60.0;
@@ -44,6 +47,8 @@ pub enum Exit {
     Width(f64),
     /// The bend has this radius, below the limit, m.
     Radius(f64),
+    /// The bend is so sharp that the smooth line leaves the map's.
+    Corner,
     /// Cars must not drive on it: a sidewalk, or a lane for bicycles or buses.
     Refused,
 }
@@ -55,6 +60,7 @@ impl fmt::Display for Exit {
             Self::Shared => f.write_str("a lane for both directions"),
             Self::Width(width) => write!(f, "a lane {width:.1} m wide"),
             Self::Radius(radius) => write!(f, "a bend of {radius:.0} m radius"),
+            Self::Corner => write!(f, "a bend sharper than {RADIUS_MIN:.0} m radius"),
             Self::Refused => f.write_str("a lane that is not for cars"),
         }
     }
@@ -99,6 +105,9 @@ pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
         }
         if bend > 1.0 / RADIUS_MIN {
             return Some(Exit::Radius(1.0 / bend));
+        }
+        if section.is_corner {
+            return Some(Exit::Corner);
         }
         crossed(index, s)
     };
@@ -239,9 +248,25 @@ mod tests {
         assert_eq!(end(&[lanelet(1, &circle(60.0), 3.5)]), None);
         let (distance, exit) = end(&[lanelet(1, &circle(15.0), 3.5)]).unwrap();
         assert!(
-            matches!(exit, Exit::Radius(_)) && distance > 60.0,
+            matches!(exit, Exit::Radius(_) | Exit::Corner) && distance > 60.0,
             "{distance} {exit}"
         );
+        // A turn at a junction: smoothing makes a wide bend of it, beside the lane.
+        let turn = |radius: f64| -> Vec<Vec2> {
+            let arc = (0..=10).map(|i| Vec2::from_angle(f64::from(i) * 0.12 - 1.57) * radius);
+            let start = (0..20).map(|i| Vec2::new(f64::from(i) * 5.0, 0.0));
+            let arc = arc.map(|p| p + Vec2::new(100.0, radius));
+            let points: Vec<Vec2> = start.chain(arc).collect();
+            let last = points[points.len() - 1];
+            let on = (1..20).map(|i| last + Vec2::from_angle(1.2) * (f64::from(i) * 5.0));
+            points.iter().copied().chain(on).collect()
+        };
+        let (distance, exit) = end(&[lanelet(1, &turn(8.0), 3.5)]).unwrap();
+        assert!(
+            exit == Exit::Corner && (60.0..100.0).contains(&distance),
+            "{distance} {exit}"
+        );
+        assert_eq!(end(&[lanelet(1, &turn(30.0), 3.5)]), None);
     }
 
     #[test]

@@ -15,6 +15,17 @@ const SHARPEST: f64 = 1.0 / 22.0;
 /// whole from the second on, m.
 const LEAVES: (f64, f64) = (0.25, 0.5);
 
+/// Length over which the turn of a line is measured, m.
+pub(super) const TURN_M: f64 = 10.0;
+
+/// Returns how far the line turns over [`TURN_M`] around this point, rad.
+pub(super) fn turn(points: &[Vec2], at: usize, step: f64) -> f64 {
+    let reach = (TURN_M / 2.0 / step).round() as usize;
+    let piece = |from: usize| (points[from + 1] - points[from]).angle();
+    let last = points.len() - 2;
+    wrap_angle(piece((at + reach).min(last)) - piece(at.saturating_sub(reach + 1))).abs()
+}
+
 /// Returns points every `step` metres along the line, both ends included (the last distance may be
 /// longer by up to half a step).
 pub(super) fn resampled(points: &[Vec2], step: f64) -> Vec<Vec2> {
