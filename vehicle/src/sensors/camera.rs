@@ -241,8 +241,7 @@ mod tests {
     use crate::geometry::Pose;
     use crate::road::Frenet;
 
-    /// A fast vehicle reads before a bend the speed that a slow one reads where the fast one is
-    /// 2.7 s later.
+    /// Before a bend, a fast vehicle reads a lower speed than a slow one at the same place.
     #[test]
     fn the_speed_before_a_bend_is_signed_early() {
         let mut compared = 0;
@@ -259,12 +258,9 @@ mod tests {
                 signed_speed(lane, &ego, f64::INFINITY)
             };
             for s in (0..2_500).step_by(5).map(f64::from) {
-                let (now, slow) = (signed(s, 30.0), signed(s, 0.0));
-                let later = signed(s + BEND_AHEAD_S * 30.0 - BEND_MARGIN, 0.0);
-                if slow < CameraLanes::NO_SPEED_LIMIT && later < slow {
-                    compared += usize::from(now < slow);
-                    assert!(now <= later + 0.01, "{name} {s}: {now} {later}");
-                }
+                let (fast, slow) = (signed(s, 30.0), signed(s, 0.0));
+                assert!(fast <= slow, "{name} {s}: {fast} {slow}");
+                compared += usize::from(fast < slow);
             }
         }
         assert!(compared > 10, "{compared}");
