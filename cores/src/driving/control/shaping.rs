@@ -112,11 +112,12 @@ impl Shaper {
     /// Returns the hardest braking from which the vehicle comes to a soft stop, m/s², negative, if
     /// the wish is this `braking`, m/s².
     fn soft_stop(&self, braking: f32, speed: f32) -> f32 {
-        let braking = max(braking, 0.0);
-        let jerk = max(
-            SOFT_STOP_JERK,
-            sqrt(braking * braking * braking / (24.0 * SOFT_STOP_M)),
-        );
+        let jerk = if braking > -HARD_BRAKING {
+            let needed = sqrt(braking * braking * braking / (24.0 * SOFT_STOP_M));
+            max(SOFT_STOP_JERK, needed)
+        } else {
+            SOFT_STOP_JERK
+        };
         let soon = max(
             speed + BRAKE_DELAY_S * min(self.last.acceleration, 0.0),
             0.0,
