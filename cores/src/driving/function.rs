@@ -71,6 +71,10 @@ impl Domain {
     /// Decides whether a vehicle with this `speed`, m/s, stays there for as long as it takes to ask
     /// the driver and to stop, or leaves its lane in time: `maneuver` is what it carries out.
     pub fn cycle(&mut self, now: Instant, lanes: &Lanes, speed: f32, maneuver: Maneuver) {
+        if lanes.own_end == f32::INFINITY {
+            *self = Self::default();
+            return;
+        }
         let continues =
             |lane: Option<f32>, end: f32| lane.is_some() && end > lanes.own_end + CONTINUES_M;
         let left = continues(lanes.left, lanes.left_end);
