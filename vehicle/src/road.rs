@@ -67,8 +67,8 @@ pub struct Section {
     pub speed_limit: f64,
     /// Cars must not drive here.
     pub is_refused: bool,
-    /// A bend so sharp that the smooth centre line leaves the map's.
-    pub(crate) is_corner: bool,
+    /// The bend of the map that smoothing hides here, 1/m; 0 if it hides none.
+    pub(crate) hidden_bend: f64,
 }
 
 /// A lane: a smooth centre line, its width and its neighbours.
@@ -397,10 +397,14 @@ fn lane(
     let smooth = smooth::smoothed(&map, STEP);
     let centres = smooth::resampled(&smooth, STEP);
     // Both lines have the same ends, and nearly the same length.
-    let is_corner = |index: usize| {
+    let hidden_bend = |index: usize| {
         let at = index * (map.len() - 1) / (centres.len() - 1);
-        (map[at] - smooth[at]).norm() > domain::MOVED_MAX
-            && smooth::turn(&map, at, STEP) * domain::RADIUS_MIN > smooth::TURN_M
+        let is_hidden = (map[at] - smooth[at]).norm() > domain::MOVED_MAX;
+        if is_hidden {
+            smooth::bend(&map, at, STEP)
+        } else {
+            0.0
+        }
     };
 
     let headings = smooth::headings(&centres);
@@ -422,7 +426,7 @@ fn lane(
                 right: lane_of(lanelet.right_neighbour),
                 speed_limit: lanelet.speed_limit.unwrap_or(f64::INFINITY),
                 is_refused: lanelet.is_refused,
-                is_corner: is_corner(index),
+                hidden_bend: hidden_bend(index),
             }
         })
         .collect();

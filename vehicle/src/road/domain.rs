@@ -15,9 +15,9 @@ use crate::geometry::wrap_angle;
 /// Width of a lane, m.
 const WIDTH: std::ops::RangeInclusive<f64> = 2.3..=7.0;
 /// Smallest radius of a bend, m.
-pub(super) const RADIUS_MIN: f64 = 20.0;
-/// Smoothing may hide a bend of the map that is sharper than that. The vehicle follows the smooth
-/// line: where that is farther than this from the map's, m, it would leave the lane.
+const RADIUS_MIN: f64 = 20.0;
+/// Where the smooth line, which the vehicle follows, is farther than this from the map's, m, the
+/// bend of the map counts: the vehicle would leave the lane there.
 pub(super) const MOVED_MAX: f64 = 1.5;
 /// Where the ego starts: the largest angle to its lane, rad, and the highest speed, m/s.
 const START_ANGLE: f64 = 0.7;
@@ -47,8 +47,6 @@ pub enum Exit {
     Width(f64),
     /// The bend has this radius, below the limit, m.
     Radius(f64),
-    /// The bend is so sharp that the smooth line leaves the map's.
-    Corner,
     /// Cars must not drive on it: a sidewalk, or a lane for bicycles or buses.
     Refused,
 }
@@ -60,7 +58,6 @@ impl fmt::Display for Exit {
             Self::Shared => f.write_str("a lane for both directions"),
             Self::Width(width) => write!(f, "a lane {width:.1} m wide"),
             Self::Radius(radius) => write!(f, "a bend of {radius:.0} m radius"),
-            Self::Corner => write!(f, "a bend sharper than {RADIUS_MIN:.0} m radius"),
             Self::Refused => f.write_str("a lane that is not for cars"),
         }
     }
@@ -96,7 +93,7 @@ pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
             })
     };
     let exit = |index: usize, s: f64, section: &Section| {
-        let bend = section.curvature.abs();
+        let bend = section.curvature.abs().max(section.hidden_bend);
         if section.is_refused {
             return Some(Exit::Refused);
         }
@@ -105,9 +102,6 @@ pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
         }
         if bend > 1.0 / RADIUS_MIN {
             return Some(Exit::Radius(1.0 / bend));
-        }
-        if section.is_corner {
-            return Some(Exit::Corner);
         }
         crossed(index, s)
     };
@@ -248,7 +242,7 @@ mod tests {
         assert_eq!(end(&[lanelet(1, &circle(60.0), 3.5)]), None);
         let (distance, exit) = end(&[lanelet(1, &circle(15.0), 3.5)]).unwrap();
         assert!(
-            matches!(exit, Exit::Radius(_) | Exit::Corner) && distance > 60.0,
+            matches!(exit, Exit::Radius(_)) && distance > 60.0,
             "{distance} {exit}"
         );
         // A turn at a junction: smoothing makes a wide bend of it, beside the lane.
@@ -263,7 +257,7 @@ mod tests {
         };
         let (distance, exit) = end(&[lanelet(1, &turn(8.0), 3.5)]).unwrap();
         assert!(
-            exit == Exit::Corner && (60.0..100.0).contains(&distance),
+            matches!(exit, Exit::Radius(_)) && (60.0..100.0).contains(&distance),
             "{distance} {exit}"
         );
         assert_eq!(end(&[lanelet(1, &turn(30.0), 3.5)]), None);

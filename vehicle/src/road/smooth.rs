@@ -15,15 +15,17 @@ const SHARPEST: f64 = 1.0 / 22.0;
 /// whole from the second on, m.
 const LEAVES: (f64, f64) = (0.25, 0.5);
 
-/// Length over which the turn of a line is measured, m.
-pub(super) const TURN_M: f64 = 10.0;
+/// Length over which the bend of a line is measured, m.
+const BEND_M: f64 = 10.0;
 
-/// Returns how far the line turns over [`TURN_M`] around this point, rad.
-pub(super) fn turn(points: &[Vec2], at: usize, step: f64) -> f64 {
-    let reach = (TURN_M / 2.0 / step).round() as usize;
+/// Returns how sharply the line bends over [`BEND_M`] around this point, 1/m.
+pub(super) fn bend(points: &[Vec2], at: usize, step: f64) -> f64 {
+    // Between the middles of both pieces.
+    let pieces = (BEND_M / step) as usize;
     let piece = |from: usize| (points[from + 1] - points[from]).angle();
-    let last = points.len() - 2;
-    wrap_angle(piece((at + reach).min(last)) - piece(at.saturating_sub(reach + 1))).abs()
+    let (first, last) = (at.saturating_sub(pieces.div_ceil(2)), points.len() - 2);
+    let turn = wrap_angle(piece((first + pieces).min(last)) - piece(first.min(last)));
+    turn.abs() / (pieces as f64 * step)
 }
 
 /// Returns points every `step` metres along the line, both ends included (the last distance may be
