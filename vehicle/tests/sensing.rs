@@ -124,6 +124,30 @@ fn every_sensor_looks_in_its_own_direction() {
     }
 }
 
+/// Something small disappears in the triangle that perception takes for hidden (`HIDDEN_M` in
+/// `cores/src/driving/perception/track.rs`): 2.4 m to either end on the vehicle's middle line, up
+/// to 4.2 m aside.
+#[test]
+fn the_fields_of_view_leave_out_a_triangle_beside_the_vehicle() {
+    for (x, y, is_seen) in [
+        (0.0, 2.0, false),
+        (0.0, -3.9, false),
+        (1.0, 2.0, false),
+        (-1.0, -2.0, false),
+        (1.6, 2.0, true),
+        (-1.6, -2.0, true),
+        (0.0, 4.5, true),
+    ] {
+        let scenario = scenario(&[(x, y, 0.2, 0.2)], 0.0);
+        let shares = SensorId::ALL.map(|of| seen(&measure(&scenario, of, 40).0, x, y));
+        let most = shares.into_iter().fold(0.0, f64::max);
+        assert!(
+            if is_seen { most > 0.7 } else { most == 0.0 },
+            "{x} {y} {most}"
+        );
+    }
+}
+
 #[test]
 fn what_a_nearer_vehicle_covers_is_not_seen() {
     let truck = (20.0, 0.0, 10.0, 2.5);

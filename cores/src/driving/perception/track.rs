@@ -52,7 +52,7 @@ const BESIDE_COAST_S: f32 = 2.0;
 /// A confirmed track that may be where no radar sees it is kept for this long, s.
 const HIDDEN_COAST_S: f32 = 10.0;
 /// On either side, the fields of view of the corner radars leave out a triangle: half of it along
-/// the vehicle's middle line, and how far aside they meet, m.
+/// the vehicle's middle line, and how far aside they meet, m. `vehicle/tests/sensing.rs` tests it.
 const HIDDEN_M: (f32, f32) = (2.4, 4.2);
 /// However uncertain its place is: it may be this much farther along, m.
 const HIDDEN_DEVIATION_M: f32 = 1.0;
@@ -416,7 +416,7 @@ mod tests {
             (1.8, -0.5, -2.0, 10.0),
             (0.6, 0.0, 5.0, 2.0),
             (0.6, 0.0, 20.0, 0.8),
-            // A car reaches out; nobody is within the vehicle; the front radar sees what is ahead.
+            // A car is too long; within the vehicle there is no place; the front radar sees ahead.
             (4.5, 0.0, 2.0, 2.0),
             (0.6, 0.3, 0.5, 2.0),
             (0.6, 4.5, 0.0, 2.0),
