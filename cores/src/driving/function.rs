@@ -39,7 +39,7 @@ const STANDS_BEFORE_M: f32 = 30.0;
 /// asked: a lane that is free needs no driver.
 const BEGINS_CHANGE: Duration = Duration::from_ms(1_500);
 /// A lane continues if it ends at least this much farther away than the ego lane, m.
-const CONTINUES_M: f32 = 50.0;
+pub(crate) const CONTINUES_M: f32 = 50.0;
 /// The request ends only beyond this many times the distance at which the driver is asked, because
 /// the measured distance is noisy.
 const TAKEN_BACK: f32 = 1.3;

@@ -6,6 +6,7 @@
 //! the IDM.
 
 use super::prediction::Predicted;
+use crate::driving::function::CONTINUES_M;
 use crate::driving::idm::{self, Driver, Leader};
 use crate::driving::math::{abs, lerp, max, min};
 use crate::driving::types::{Lanes, Memory, RouteCode};
@@ -361,7 +362,7 @@ impl Situation<'_> {
         }
         let worth = |side: &Side| {
             side.lane(self.lanes)
-                .is_some_and(|(_, other)| other > end + 50.0)
+                .is_some_and(|(_, other)| other > end + CONTINUES_M)
         };
         let side = Side::ALL.into_iter().find(worth)?;
         side.lane(self.lanes).map(|(centre, _)| (side, centre))
