@@ -22,9 +22,10 @@ pub const SCENE_MAX_AGE: Duration = Duration::from_ms(500);
 
 /// Degraded mode drives no faster than this, m/s (90 km/h).
 const SPEED_CAP: f32 = 25.0;
-/// Distance kept to the end of the lane, m. A vehicle that is nearer brakes as in a safe stop, or
-/// so hard that it stands at the second.
+/// Distance kept to the end of the lane, m. A vehicle that is nearer, or is there in this time,
+/// brakes as in a safe stop, or so hard that it stands at the last distance, s and m.
 const END_MARGIN_M: f32 = 8.0;
+const END_NEAR_S: f32 = 3.0;
 const END_LEAST_M: f32 = 1.0;
 /// Lateral acceleration in curves, m/s².
 const CURVE_ACCELERATION: f32 = 2.5;
@@ -210,7 +211,7 @@ fn within_lanes(step: &ControlStep, scene: &Scene, lanes: &Lanes) -> Command {
             speed: 0.0,
         };
         let mut braking = idm::acceleration(&driver, ego.speed, Some(end));
-        if room < END_MARGIN_M {
+        if room < END_MARGIN_M + END_NEAR_S * ego.speed {
             let left = max(room - END_LEAST_M - 0.3 * ego.speed, 0.1);
             let needed = 0.5 * ego.speed * ego.speed / left;
             braking = max(braking, -max(SAFE_STOP_BRAKING, needed));
@@ -320,11 +321,16 @@ mod tests {
     use super::*;
     use crate::driving::perception::Perception;
 
-    /// A vehicle that rolls to the end of its lane, nearer than the distance that is kept, does not
-    /// brake hard when this function takes over. It does where it must.
+    /// A vehicle that rolls to the end of its lane, nearer than the distance that is kept or nearly
+    /// there, does not brake hard when this function takes over. It does where it must.
     #[test]
-    fn who_rolls_to_the_end_of_the_lane_is_not_braked_hard() {
-        for (speed, end, braking) in [(0.5, 7.0, 2.5..2.6), (6.0, 9.0, 4.5..9.0)] {
+    fn rolling_to_the_end_of_the_lane_is_not_braked_hard() {
+        for (speed, end, braking) in [
+            (0.5, 7.0, 2.5..2.6),
+            (4.0, 11.3, 2.4..2.6),
+            (10.0, 27.0, 2.4..2.6),
+            (6.0, 9.0, 4.5..9.0),
+        ] {
             let ego = Ego {
                 speed,
                 ..Ego::default()
