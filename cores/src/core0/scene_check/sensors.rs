@@ -44,6 +44,12 @@ const CONTRADICTS_LINE: f32 = 0.25;
 /// share of the turn that the steering angle does not explain.
 const TURNS: f32 = 0.02;
 const TURNS_SHARE: f32 = 0.5;
+/// All signs of a line are turned if twice the vehicle's turn explains its heading but for this
+/// share, for so many scenes.
+const TURNED_SHARE: f32 = 0.15;
+const TURNED_SCENES: u8 = 6;
+/// Below this share of the heading, the line's turn is that of a vehicle that follows the road.
+const FOLLOWS_SHARE: f32 = 0.5;
 /// A measured speed that changes faster than this has jumped: m/s² and m/s.
 const FASTEST_CHANGE: (f32, f32) = (12.0, 0.3);
 /// A line this much aside is that of another lane, m.
@@ -93,6 +99,8 @@ enum Mend {
     Heading,
     /// The camera's line with the bend that the vehicle drives.
     Bend,
+    /// The camera's line on the other side.
+    Turned,
 }
 
 /// The lines by the motion.
@@ -201,6 +209,10 @@ pub(super) struct SensorCheck {
     /// What takes the place of a wrong line.
     mend: Mend,
     settles: u8,
+    /// The turn by the yaw rate, summed as the residuals, rad.
+    yawed: f32,
+    /// For so many scenes the line seemed to have all signs turned.
+    turned_scenes: u8,
     liar: Option<Liar>,
     /// Where the vehicle stops if the line is wrong: distance from the newest scene, m.
     end: f32,
@@ -225,6 +237,8 @@ impl SensorCheck {
             curvature: 0.0,
             mend: Mend::Known,
             settles: 0,
+            yawed: 0.0,
+            turned_scenes: 0,
             liar: None,
             end: f32::INFINITY,
         }
@@ -255,6 +269,7 @@ impl SensorCheck {
         self.has_speed_jumped |= change > acceleration * dt + noise;
         self.on_motion(&before, &scene.ego, dt);
         self.on_line(scene.camera, ego);
+        self.on_turned();
         if self.is_found() || !self.contradicts() {
             return None;
         }
@@ -281,7 +296,8 @@ impl SensorCheck {
         self.liar.is_some()
     }
 
-    /// Returns whether a residual was above its limit long enough to tell which sensor is wrong.
+    /// Returns whether a residual was above its limit long enough to tell which sensor is wrong, or a
+    /// cause explains a smaller one.
     fn contradicts(&mut self) -> bool {
         let shares = self.used();
         let rises = shares.iter().zip(self.shares).map(|(new, old)| new - old);
@@ -296,7 +312,7 @@ impl SensorCheck {
         if self.settles > 0 || shares.iter().any(|share| *share >= 1.0) {
             self.settles += 1;
         }
-        self.settles >= SETTLE
+        self.settles >= SETTLE || self.turned_scenes >= TURNED_SCENES
     }
 
     fn restart(&mut self, ego: &Ego) {
@@ -307,7 +323,7 @@ impl SensorCheck {
         self.slip_angle = slip_for(ego.yaw_rate, ego.speed.max(SLOWEST), ego.acceleration);
         self.speed = ego.speed;
         (self.residuals, self.shares, self.moved) = ([0.0; 6], [0.0; 6], [0.0; 2]);
-        (self.lines, self.turned) = (None, None);
+        (self.lines, self.turned, self.yawed, self.turned_scenes) = (None, None, 0.0, 0);
         (self.has_jumped, self.has_speed_jumped, self.settles) = (false, false, 0);
     }
 
@@ -356,7 +372,7 @@ impl SensorCheck {
         let [.., aside, heading, bend] = &mut self.residuals;
         if step.is_other || is_rough {
             (*aside, *heading, *bend) = (0.0, 0.0, 0.0);
-            (self.unexplained, self.turned) = (0.0, None);
+            (self.unexplained, self.turned, self.yawed) = (0.0, None, 0.0);
             return;
         }
         let [sideways, turn] = &mut self.moved;
@@ -366,10 +382,19 @@ impl SensorCheck {
             sideways,
             turn,
             self.turned.get_or_insert(0.0),
+            &mut self.yawed,
         ];
         let [offset, angle, _] = step.apart;
         let unexplained = core::mem::take(&mut self.unexplained);
-        let steps = [offset, angle, step.moved[0], step.moved[1], unexplained];
+        let yawed = ego.yaw_rate * step.seconds;
+        let steps = [
+            offset,
+            angle,
+            step.moved[0],
+            step.moved[1],
+            unexplained,
+            yawed,
+        ];
         for (sum, step_by) in sums.into_iter().zip(steps) {
             *sum += share * step_by - *sum * step.seconds / MEMORY_S;
         }
@@ -449,9 +474,28 @@ impl SensorCheck {
         let is_offset_turned = is_turned(aside, sideways) && !is_turned(heading, turn);
         match (contradicts(Residual::Aside), contradicts(Residual::Heading)) {
             _ if self.has_jumped => lines.map_or(Mend::Known, |it| Mend::Less(jump(it))),
+            (false, true) if self.turned_scenes >= TURNED_SCENES => Mend::Turned,
             (false, true) => Mend::Bend,
             (true, false) if !is_offset_turned => Mend::Heading,
             _ => Mend::Known,
+        }
+    }
+
+    /// Looks whether all signs of the line are turned: its heading then moves as much as the vehicle
+    /// turns, but the other way, whatever the vehicle does. A vehicle that follows the road does not
+    /// tell this from a bend whose sign alone is turned.
+    fn on_turned(&mut self) {
+        let heading = self.residual(Residual::Heading);
+        let least = CONTRADICTS * LIMITS[Residual::Heading as usize];
+        let rest = (heading - 2.0 * self.yawed).abs();
+        let follows = (self.moved[1] + 2.0 * self.yawed).abs() < FOLLOWS_SHARE * heading.abs();
+        if heading.abs() < least || follows || rest >= TURNED_SHARE * heading.abs() {
+            self.turned_scenes = 0;
+            return;
+        }
+        self.turned_scenes = self.turned_scenes.saturating_add(1);
+        if self.turned_scenes >= TURNED_SCENES && matches!(self.mend, Mend::Bend) {
+            self.mend = Mend::Turned;
         }
     }
 
@@ -466,6 +510,7 @@ impl SensorCheck {
                 [c0, c1 + turned, c2, c3]
             }
             Mend::Bend => [c0, c1, 0.5 * self.curvature, 0.0],
+            Mend::Turned => seen.c.map(|it| -it),
         };
         CameraLine { at: seen.at, c }
     }
