@@ -7,6 +7,8 @@ use crate::driving::types::TrajectoryPoint;
 
 /// Greatest curvature of a path, 1/m: the turning circle with a margin.
 const MAX_CURVATURE: f32 = 0.17;
+/// Cost of a path that leaves the lane, for each metre and point of it.
+const WEIGHT_OUTSIDE: f32 = 100.0;
 
 /// A path relative to the reference: offset over arc length, from the start.
 #[derive(Clone, Copy, Debug)]
@@ -86,8 +88,11 @@ pub(crate) fn to_cartesian(road: &Reference, offset: &Jet, motion: &Jet) -> Traj
     }
 }
 
-/// Returns the cost of a path at this speed: weighs comfort against the time off the centre.
-pub(crate) fn cost(path: &Path, speed: f32) -> f32 {
+/// Returns the cost of a path at this speed: weighs comfort against the time off the centre. Aside
+/// of the reference, the lane has this much room, m: a path that leaves it costs more than comfort,
+/// but not one that comes back.
+pub(crate) fn cost(path: &Path, speed: f32, room: f32) -> f32 {
+    let room = max(room, abs(path.at(path.start_s).value));
     let mut cost = 0.0;
     for step in 0..16 {
         let s = path.start_s + step as f32 * 0.25 * max(speed, 2.0);
@@ -96,6 +101,7 @@ pub(crate) fn cost(path: &Path, speed: f32) -> f32 {
         let acceleration = offset.second * speed * speed;
         let jerk = offset.third * speed * speed * speed;
         cost += aside * aside + 0.6 * acceleration * acceleration + 0.1 * jerk * jerk;
+        cost += WEIGHT_OUTSIDE * max(abs(offset.value) - room, 0.0);
         if abs(offset.second) > MAX_CURVATURE {
             cost += 100.0;
         }
@@ -135,5 +141,34 @@ mod tests {
         let back = to_frenet(&point, 0.0, 1.2, &road).offset;
         assert!((back.first - offset.first).abs() < 1e-5, "{back:?}");
         assert!((back.second - offset.second).abs() < 1e-5, "{back:?}");
+    }
+
+    /// The wheels are straight at the beginning of a bend of 250 m.
+    #[test]
+    fn a_path_out_of_the_lane_costs_more_than_comfort() {
+        let speed = 25.0;
+        let from = Station {
+            s: 0.0,
+            offset: Jet {
+                second: -1.0 / 250.0,
+                ..Jet::default()
+            },
+        };
+        let costs = |room| {
+            [2.0, 3.0, 4.5].map(|time| cost(&Path::new(&from, 0.0, time * speed), speed, room))
+        };
+        let ([_, free, slow], [_, inside, leaves]) = (costs(f32::INFINITY), costs(0.65));
+        assert_eq!(free, inside, "it stays in the lane");
+        assert!(leaves > 3.0 * slow, "{leaves} {slow}");
+        // Who is already outside loses nothing by coming back slowly.
+        let aside = Station {
+            offset: Jet {
+                value: 1.0,
+                ..Jet::default()
+            },
+            ..from
+        };
+        let back = Path::new(&aside, 0.0, 4.5 * speed);
+        assert_eq!(cost(&back, speed, 0.65), cost(&back, speed, f32::INFINITY));
     }
 }

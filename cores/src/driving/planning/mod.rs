@@ -240,6 +240,8 @@ impl Planner {
         let desired = desired_speeds(scene, &view.frame, s);
         let desired_speed = desired[0];
 
+        let width = view.lanes.map_or(DEFAULT_LANE_WIDTH_M, |lanes| lanes.width);
+        let room = max(0.5 * (width - WIDTH_M) - BORDER_M, 0.0);
         let goal = match &view.lanes {
             Some(lanes) => {
                 let situation = Situation {
@@ -252,7 +254,6 @@ impl Planner {
                     route: scene.route,
                 };
                 let goal = self.behaviour.decide(&situation, moved);
-                let room = max(0.5 * (lanes.width - WIDTH_M) - BORDER_M, 0.0);
                 match self.behaviour.intent {
                     Intent::Change { crossed: false, .. } => goal,
                     _ => Goal {
@@ -278,7 +279,7 @@ impl Planner {
             choose_profile(&view, (&station, &first), path, goal, before, corridor)
         };
         let drive = |goal: &Goal| {
-            let path = choose_path(&station, goal, first.first);
+            let path = choose_path(&station, goal, first.first, room);
             let (profile, manner) = along(goal, &path, None);
             (path, profile, manner)
         };
@@ -441,17 +442,17 @@ fn stop_before(end: f32, speed: f32) -> f32 {
     )
 }
 
-/// Returns the cheapest path to the goal.
-fn choose_path(from: &Station, goal: &Goal, speed: f32) -> Path {
+/// Returns the cheapest path to the goal, in a lane with this much room on either side, m.
+fn choose_path(from: &Station, goal: &Goal, speed: f32, room: f32) -> Path {
     if let Some(rest_m) = goal.rest_m {
         return Path::new(from, goal.offset, rest_m);
     }
     let candidate = |time: f32| Path::new(from, goal.offset, max(time * speed, KEEP_MIN_M));
     let mut best = candidate(KEEP_S[0]);
-    let mut least = lateral::cost(&best, speed);
+    let mut least = lateral::cost(&best, speed, room);
     for &time in &KEEP_S[1..] {
         let path = candidate(time);
-        let cost = lateral::cost(&path, speed);
+        let cost = lateral::cost(&path, speed, room);
         if cost < least {
             (best, least) = (path, cost);
         }
