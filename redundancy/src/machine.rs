@@ -195,11 +195,17 @@ impl Redundancy {
     fn deadline(&self, now: Instant) -> Instant {
         let due = self.beats.due();
         let due = due.min(self.polls.last() + self.config.poll_interval);
+        due.min(self.next_limit(now))
+    }
+
+    /// Returns the end of the next limit after which this system, as a standby, may have to take
+    /// over; [`Instant::NEVER`] otherwise. Work that cannot be interrupted should not begin shortly
+    /// before.
+    #[must_use]
+    pub fn next_limit(&self, now: Instant) -> Instant {
         match &self.phase {
-            PhaseState::Standby(standby) => {
-                due.min(standby.next_limit(&self.config, now, &self.witnesses))
-            }
-            _ => due,
+            PhaseState::Standby(standby) => standby.next_limit(&self.config, now, &self.witnesses),
+            _ => Instant::NEVER,
         }
     }
 

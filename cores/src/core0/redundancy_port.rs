@@ -108,6 +108,12 @@ impl<'b, B: Board> RedundancyPort<'b, B> {
         self.due
     }
 
+    /// Returns the end of the next limit after which this system may have to take over.
+    pub(super) fn next_limit(&self, now: Instant) -> Instant {
+        let running = self.running.as_ref();
+        running.map_or(Instant::NEVER, |redundancy| redundancy.next_limit(now))
+    }
+
     /// Returns whether this system may send a control frame now; `None` before the start protocol.
     pub(super) fn may_transmit(&mut self) -> Option<bool> {
         let now = self.board.now();

@@ -6,8 +6,11 @@ use crate::driving::parking::SocSample;
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Config, Core};
 use core::cell::{Cell, RefCell};
-use tandem_board::{Board, Instant};
+use tandem_board::{Board, Duration, Instant};
 use tandem_redundancy::Phase;
+
+/// Longer than the longest task, trajectory input: 0.3 ms on a core of 1 GHz without floating point.
+const LONGEST_TASK: Duration = Duration::from_us(500);
 
 /// The shared state of tasks that run one after the other: no lock is needed.
 struct OneFlow<'b, B: Board> {
@@ -48,7 +51,7 @@ impl<'b, B: Board> Executor<'b, B> for OneFlow<'b, B> {
 }
 
 /// The control core without a kernel. Its tasks run to completion: of those that are due, the most
-/// urgent first. The longest task delays every other one.
+/// urgent first. The longest task delays every other one, but no takeover.
 pub struct Core0<'b, B: Board> {
     executor: OneFlow<'b, B>,
     tasks: Tasks<'b, B>,
@@ -84,6 +87,16 @@ impl<'b, B: Board> Core0<'b, B> {
         self.executor.drive(|drive| drive.on_soc(at, sample));
     }
 
+    /// Returns until when this task must wait: a long one does not begin shortly before this system
+    /// may have to take over.
+    fn waits_for(&self, task: Core0Task, now: Instant) -> Option<Instant> {
+        if task != Core0Task::TrajectoryInput {
+            return None;
+        }
+        let limit = self.executor.shared.borrow().redundancy.next_limit(now);
+        (limit <= now + LONGEST_TASK).then_some(limit)
+    }
+
     /// Returns the phase of this system, once the start protocol has begun.
     #[must_use]
     pub fn phase(&self) -> Option<Phase> {
@@ -102,6 +115,8 @@ impl<B: Board> Core for Core0<'_, B> {
         } else {
             doorbell.ring(now) == RingOutcome::Passes
         };
+        // An edge of the start protocol waits for nothing: both systems then begin together.
+        let interrupted = interrupted || self.phase() == Some(Phase::Starting);
         // One pass is enough: tasks release only less urgent ones. A call cannot tell whether an
         // interrupt caused it, so the tasks of interrupts run at each call that the throttle
         // permits.
@@ -109,6 +124,10 @@ impl<B: Board> Core for Core0<'_, B> {
             let released = self.executor.released.get().contains(task)
                 || (interrupted && task.info().is_for_interrupts());
             if released || self.due[index] <= now {
+                if let Some(limit) = self.waits_for(task, now) {
+                    self.due[index] = limit;
+                    continue;
+                }
                 self.due[index] = self.tasks.poll(task, &self.executor);
                 now = self.executor.board.now();
             }

@@ -6,9 +6,10 @@ use tandem_board::{
     Board, CoreId, Duration, Instant, ResetCause, ResetRequest, RoleLamp, Supply, SystemId,
 };
 use tandem_board_sim::{Config, SimBoard, SimPair};
-use tandem_cores::Core;
-use tandem_cores::core0::Core0;
-use tandem_sim::drive::poller;
+use tandem_cores::core0::{Core0, Core0Task};
+use tandem_cores::trace::Event;
+use tandem_cores::{Config as Core0Config, Core};
+use tandem_sim::drive::{Drive, poller};
 use tandem_tests::around::Around;
 
 /// Duration for which the core is held up.
@@ -102,4 +103,50 @@ fn a_core_held_up_before_its_service_does_not_serve_early_after_it() {
         let distance = pair[1].since(pair[0]);
         assert!(distance >= opens, "{distance:?} at {:?}", pair[0]);
     }
+}
+
+/// T-RED-8: core 0 without a kernel runs each task to its end. As standby it begins the longest one,
+/// trajectory input, not within half a millisecond before it takes over.
+#[test]
+fn no_long_task_begins_shortly_before_a_takeover() {
+    let of_b = |drive: &Drive, wanted: fn(&Event) -> bool| {
+        let of = |it: &&_| matches!(it, (_, SystemId::B, CoreId::CONTROL, event) if wanted(event));
+        drive
+            .events
+            .iter()
+            .filter(of)
+            .map(|it| it.0)
+            .collect::<Vec<_>>()
+    };
+    let is_input = |event: &Event| {
+        let code = Core0Task::TrajectoryInput.info().code;
+        matches!(event, Event::TaskIn { task, .. } if *task == code)
+    };
+    // In step, a trajectory arrives at a whole millisecond. With this limit the takeover is 0.3 ms
+    // after one.
+    let started = || {
+        Drive::with("free-lane", 5, |board| {
+            let mut config = Core0Config::chip();
+            config.redundancy.heartbeat_jitter = Duration::from_us(300);
+            poller(board, config)
+        })
+    };
+    let mut sound = started();
+    sound.run_for(Duration::from_ms(1_500));
+    let arrives = *of_b(&sound, is_input).last().expect("a trajectory");
+    let mut waited = 0;
+    for before_us in (1_000..4_000).step_by(100) {
+        let mut drive = started();
+        let until = arrives.since(drive.pair.now()) - Duration::from_us(before_us);
+        drive.run_for(until);
+        drive.pair.power_off(SystemId::A);
+        drive.run_for(Duration::from_ms(20));
+        let took = of_b(&drive, |event| matches!(event, Event::TookOver { .. }))[0];
+        let is_near = |at: &&Instant| **at < took && took.since(**at) <= Duration::from_us(500);
+        let inputs = of_b(&drive, is_input);
+        assert_eq!(inputs.iter().find(is_near), None, "{before_us} us");
+        waited += usize::from(is_near(&&arrives));
+    }
+    println!("waited {waited} times");
+    assert!(waited > 0, "none arrived shortly before a takeover");
 }
