@@ -16,22 +16,27 @@ pub fn wait(deadline: Option<u64>) -> bool {
     let number = hart::number() % HARTS;
     let state = &trap::STATES[number];
     hart::interrupts_off();
+    // With interrupts off no handler records a ring, so the loop below need not look for one.
+    let rung = if state.rung.load(Relaxed) {
+        state.rung.store(false, Relaxed);
+        clear(number, state);
+        true
+    } else {
+        sleep(number, state, deadline)
+    };
+    rearm(number, state);
+    hart::interrupts_on();
+    rung
+}
+
+/// Sleeps until this hart's doorbell has rung, and consumes the ring, or until `deadline` has
+/// passed. Returns whether the doorbell rang. Interrupts are off.
+#[inline]
+fn sleep(number: usize, state: &HartState, deadline: Option<u64>) -> bool {
     hart::enable(DOORBELL);
-    let rung = loop {
-        if hart::pending() & DOORBELL != 0 {
-            if clear(number, state) {
-                // Here the interrupt handler runs, resets the hart, and does not return.
-                hart::interrupts_on();
-            }
-            state.rung.store(false, Relaxed);
-            break true;
-        }
-        if state.rung.load(Relaxed) {
-            state.rung.store(false, Relaxed);
-            break true;
-        }
+    while hart::pending() & DOORBELL == 0 {
         match deadline {
-            Some(deadline) if hart::time() >= deadline => break false,
+            Some(deadline) if hart::time() >= deadline => return false,
             Some(deadline) => {
                 interrupts::set_timer(number, deadline);
                 hart::enable(TIMER);
@@ -40,10 +45,9 @@ pub fn wait(deadline: Option<u64>) -> bool {
             None => hart::disable(TIMER),
         }
         hart::sleep();
-    };
-    rearm(number, state);
-    hart::interrupts_on();
-    rung
+    }
+    clear(number, state);
+    true
 }
 
 /// Consumes a ring without sleeping. Returns whether there was one.
@@ -57,16 +61,15 @@ pub fn take() -> bool {
 }
 
 /// Clears the ring, then reads whether the carrier requests a reset. A request that arrives after
-/// the clear is read here, or rings the doorbell again. Returns whether there is a request; if so,
-/// rings the doorbell again, so that the interrupt handler runs.
+/// the clear is read here, or rings the doorbell again. If there is a request, rings the doorbell
+/// again, so that the interrupt handler runs as soon as interrupts are on: it resets the hart and
+/// does not return.
 #[inline]
-fn clear(number: usize, state: &HartState) -> bool {
+fn clear(number: usize, state: &HartState) {
     interrupts::clear(number);
-    let reset = state.is_held();
-    if reset {
+    if state.is_held() {
         interrupts::post(number);
     }
-    reset
 }
 
 /// Sets the timer to the end of this hart's turn, or disables it if turns have no limit.
