@@ -4,7 +4,7 @@ use super::{build_dir, ended, machine, port};
 use anyhow::{Context, Result, bail, ensure};
 use std::path::Path;
 
-const TARGET: &str = "thumbv8m.main-none-eabi";
+pub(super) const TARGET: &str = "thumbv8m.main-none-eabi";
 const QEMU: &str = "qemu-system-arm";
 /// The address from which the images read their straps; see link.x.
 const STRAPS_AT: u32 = 0x8000_0000;
@@ -21,15 +21,21 @@ const SHIFT: u32 = 5;
 const TURNS: [u32; 8] = [97, 131, 179, 211, 307, 397, 499, 997];
 
 pub(super) fn run(root: &Path) -> Result<()> {
-    crate::toolchain::demand(TARGET)?;
-    let mut build = crate::cargo(&port(root), &["build", "--quiet", "--release"]);
-    build
-        .args(["--target", TARGET, "-p", "tandem-board-mps2-an521"])
-        .env("CARGO_TARGET_DIR", build_dir(root));
-    crate::run(build)?;
+    build(root, &["--release"])?;
     conformance(root)?;
     primitives(root)?;
     takeovers(root)
+}
+
+/// Builds all images with this profile.
+pub(super) fn build(root: &Path, profile: &[&str]) -> Result<()> {
+    crate::toolchain::demand(TARGET)?;
+    let mut build = crate::cargo(&port(root), &["build", "--quiet"]);
+    build
+        .args(["--target", TARGET, "-p", "tandem-board-mps2-an521"])
+        .args(profile)
+        .env("CARGO_TARGET_DIR", build_dir(root));
+    crate::run(build)
 }
 
 /// Makes a system hang at 20 moments of its 10 ms control period, each with a different phase

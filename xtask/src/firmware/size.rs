@@ -11,6 +11,9 @@ use std::path::Path;
 /// the C library are not counted.
 const RPMSG_LITE_TEXT: u32 = 2_762;
 
+/// Text of RPMsg-Lite as its publisher states it for a Cortex-M, in bytes.
+const RPMSG_LITE_PUBLISHED: u32 = 2_926;
+
 /// The image with the participant of topics, and its limits: 16 KiB of text, 2 KiB of state.
 const TOPICS: &str = "size-topics";
 const TOPICS_TEXT: u32 = 16 << 10;
@@ -96,6 +99,13 @@ pub(super) fn run(root: &Path) -> Result<()> {
         "{:<44} {RPMSG_LITE_TEXT:>7}",
         "RPMsg-Lite, both ends (gcc -Os)"
     );
+    for (name, size) in on_thumb(root)? {
+        line(name, size);
+    }
+    println!(
+        "{:<44} {RPMSG_LITE_PUBLISHED:>7}",
+        "RPMsg-Lite, as published for Cortex-M"
+    );
     let of_boot = bootloader(root)?;
     line("bootloader without drivers (opt z)", of_boot);
     let used = of_boot.text + of_boot.constants;
@@ -108,6 +118,30 @@ pub(super) fn run(root: &Path) -> Result<()> {
         line(&format!("image {}", image.name()), size);
     }
     Ok(())
+}
+
+/// Builds the images of a Cortex-M33. Returns what mailbox and FIFO add to an image that only starts,
+/// and to one that copies memory and can panic as well.
+fn on_thumb(root: &Path) -> Result<[(&'static str, Size); 2]> {
+    super::an521::build(root, &["--profile", "size"])?;
+    let folder = build_dir(root).join(super::an521::TARGET).join("size");
+    let sizes = |name: &str| of(&folder.join(format!("an521-size-{name}")));
+    let with = sizes("messages")?;
+    let beside = |without: Size| Size {
+        text: with.text.saturating_sub(without.text),
+        constants: with.constants.saturating_sub(without.constants),
+        ram: 0,
+    };
+    Ok([
+        (
+            "mailbox and FIFO, Cortex-M33 (opt s)",
+            beside(sizes("none")?),
+        ),
+        (
+            "  in an image with memcpy and panics",
+            beside(sizes("support")?),
+        ),
+    ])
 }
 
 /// Builds the bootloader without a board. Its linker script refuses an image larger than its bank.
