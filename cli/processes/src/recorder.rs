@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
 use anyhow::{Context as _, anyhow};
-use tandem_board::Traced;
+use tandem_board::{CoreAddress, Traced};
 use tandem_board_host::isolation;
 use tandem_cores::trace::Event;
 use tandem_record::Entry;
@@ -17,7 +17,8 @@ use crate::files::RunFiles;
 use crate::live::Live;
 
 /// The recording is in shared memory. When its trace records reach this size, further events of the
-/// schedulers are omitted. A run reaches the limit after about six minutes.
+/// schedulers are omitted, except one ring of each core in each batch: live views take a core
+/// without a record for dead. A run reaches the limit after about six minutes.
 const TRACE_LIMIT_BYTES: u64 = 64 << 20;
 
 /// Returns the largest size of the trace records in a recording, bytes: at most half of the free
@@ -42,6 +43,8 @@ pub struct Recorder {
     trace_bytes: u64,
     /// The limit of `trace_bytes`. Records that the analysis needs are written even beyond it.
     trace_limit_bytes: u64,
+    /// The cores of which this batch holds a record beyond the limit.
+    kept: [bool; CoreAddress::ALL.len()],
     to_writer: Sender<Batch>,
     writer: JoinHandle<anyhow::Result<()>>,
 }
@@ -65,6 +68,7 @@ impl Recorder {
             batch: Batch::default(),
             trace_bytes: 0,
             trace_limit_bytes: trace_limit_bytes(free),
+            kept: Default::default(),
             to_writer,
             writer,
         })
@@ -78,8 +82,15 @@ impl Recorder {
     /// Adds a record of a core's trace. Returns `false` if the recording omits this record.
     pub fn trace(&mut self, traced: Traced) -> bool {
         let is_full = self.trace_bytes >= self.trace_limit_bytes;
-        if is_full && Event::decode(traced.record).is_none_or(Event::is_scheduling) {
-            return false;
+        let event = Event::decode(traced.record);
+        if is_full && event.is_none_or(Event::is_scheduling) {
+            let kept = &mut self.kept[CoreAddress::new(traced.system, traced.core).index()];
+            // A ring belongs to no span, so it is right without the records around it.
+            let is_ring = matches!(event, Some(Event::Ring { .. }));
+            if *kept || !is_ring {
+                return false;
+            }
+            *kept = true;
         }
         self.trace_bytes += TRACE_BYTES;
         self.record(Entry::Trace(traced));
@@ -100,6 +111,7 @@ impl Recorder {
             entries: Vec::with_capacity(count + count / 4),
             live: None,
         };
+        self.kept = Default::default();
         let _ = self
             .to_writer
             .send(std::mem::replace(&mut self.batch, next));
@@ -169,6 +181,20 @@ mod tests {
         recorder.trace_bytes = recorder.trace_limit_bytes;
         assert!(!recorder.trace(traced(ready)));
         assert!(recorder.trace(traced(Event::LinesSplit)));
+        // One ring of each core in each batch says that the core runs.
+        let ring = traced(Event::Ring {
+            core: CoreId::PLANNING,
+        });
+        let of_other = Traced {
+            core: CoreId::PERCEPTION,
+            ..ring
+        };
+        assert_eq!(
+            [ring, ring, of_other].map(|it| recorder.trace(it)),
+            [true, false, true]
+        );
+        recorder.hand_over();
+        assert_eq!([ring, ring].map(|it| recorder.trace(it)), [true, false]);
         recorder.close().unwrap();
         let mut log = RunLog::default();
         file::read(&files.recording(), |entry| {
@@ -176,6 +202,6 @@ mod tests {
             Ok(())
         })
         .unwrap();
-        assert_eq!((log.trace.len(), log.events.len()), (2, 1));
+        assert_eq!((log.trace.len(), log.events.len()), (5, 1));
     }
 }
