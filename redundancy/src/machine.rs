@@ -195,7 +195,13 @@ impl Redundancy {
     fn deadline(&self, now: Instant) -> Instant {
         let due = self.beats.due();
         let due = due.min(self.polls.last() + self.config.poll_interval);
-        due.min(self.next_limit(now))
+        let due = due.min(self.next_limit(now));
+        match &self.phase {
+            PhaseState::Standby(standby) => {
+                due.min(standby.next_look(&self.config, self.polls.last()))
+            }
+            _ => due,
+        }
     }
 
     /// Returns the end of the next limit after which this system, as a standby, may have to take

@@ -255,6 +255,18 @@ impl Standby {
             .unwrap_or(Instant::NEVER)
     }
 
+    /// Returns when to look again for the vehicle's echo that no frame arrives; [`Instant::NEVER`]
+    /// if none is expected. It may come at any time from a poll after the control period on, and
+    /// should not wait for a whole poll interval. `polled`: the last poll.
+    pub(crate) fn next_look(&self, config: &Config, polled: Instant) -> Instant {
+        let overdue = self.last_control + config.control_period + config.poll_interval;
+        let next = overdue.max(polled + Duration::from_ns(config.poll_interval.as_ns() / 4));
+        match self.control_known && next < overdue + config.control_period {
+            true => next,
+            false => Instant::NEVER,
+        }
+    }
+
     /// Returns whether neither the other system nor the vehicle has reported a driving system for
     /// long enough.
     fn no_system_drives(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {

@@ -45,6 +45,31 @@ fn a_standby_polls_when_a_limit_ends() {
     }
 }
 
+/// T-RED-8: while a frame is overdue the vehicle's echo may come at any time, so a standby looks
+/// four times in a poll interval; not before, and not for ever.
+#[test]
+fn a_standby_looks_more_often_while_a_frame_is_overdue() {
+    let chip = Config::chip();
+    let mut bench = Bench::standby_with(chip);
+    let _ = bench.control(16);
+    let sent = bench.now;
+    let mut widest = [Duration::ZERO; 3];
+    while bench.now < sent + chip.control_period.times(3) {
+        bench.snapshot.beats = bench.snapshot.beats.map(|count| count + 1);
+        let due = bench.on(Input::Poll(bench.snapshot)).deadline();
+        let age = bench.now.since(sent);
+        let overdue = chip.control_period + chip.poll_interval;
+        let part = usize::from(age >= overdue) + usize::from(age >= overdue + chip.control_period);
+        widest[part] = widest[part].max(due.since(bench.now));
+        bench.now = due;
+    }
+    let interval = chip.poll_interval;
+    assert_eq!(
+        widest,
+        [interval, Duration::from_ns(interval.as_ns() / 4), interval]
+    );
+}
+
 /// T-RED-8: a link that falls silent with both lines shows a failed master before its control
 /// frames are overdue. A link shows nothing if it fell silent earlier than the lines by more than
 /// its limit, because it was cut, or if its limit is not below the third witness's.
