@@ -9,6 +9,8 @@ use core::cell::{Cell, RefCell};
 use tandem_board::{Board, Duration, Instant};
 use tandem_redundancy::Phase;
 
+/// Least distance between two passes that doorbells cause before this system has a role.
+const START_DISTANCE: Duration = Duration::from_us(100);
 /// Longer than the longest task, trajectory input: 0.3 ms on a core of 1 GHz without floating point.
 const LONGEST_TASK: Duration = Duration::from_us(500);
 
@@ -55,6 +57,8 @@ impl<'b, B: Board> Executor<'b, B> for OneFlow<'b, B> {
 pub struct Core0<'b, B: Board> {
     executor: OneFlow<'b, B>,
     tasks: Tasks<'b, B>,
+    /// When the next ring passes before this system has a role.
+    start_opens: Instant,
     /// When each task is due, in the order of [`Core0Task::ALL`].
     due: [Instant; Core0Task::ALL.len()],
 }
@@ -78,6 +82,7 @@ impl<'b, B: Board> Core0<'b, B> {
                 doorbell: DoorbellThrottle::default(),
             },
             tasks,
+            start_opens: Instant::ORIGIN,
             due: [board.now(); Core0Task::ALL.len()],
         }
     }
@@ -87,13 +92,17 @@ impl<'b, B: Board> Core0<'b, B> {
         self.executor.drive(|drive| drive.on_soc(at, sample));
     }
 
-    /// Returns until when this task must wait: a long one does not begin shortly before this system
-    /// may have to take over.
+    /// Returns until when this task must wait: a long one does not begin when the roles are due, or
+    /// shortly before this system may have to take over.
     fn waits_for(&self, task: Core0Task, now: Instant) -> Option<Instant> {
         if task != Core0Task::TrajectoryInput {
             return None;
         }
-        let limit = self.executor.shared.borrow().redundancy.next_limit(now);
+        let redundancy = &self.executor.shared.borrow().redundancy;
+        if redundancy.due() <= now {
+            return Some(now);
+        }
+        let limit = redundancy.next_limit(now);
         (limit <= now + LONGEST_TASK).then_some(limit)
     }
 
@@ -115,8 +124,13 @@ impl<B: Board> Core for Core0<'_, B> {
         } else {
             doorbell.ring(now) == RingOutcome::Passes
         };
-        // An edge of the start protocol waits for nothing: both systems then begin together.
-        let interrupted = interrupted || self.phase() == Some(Phase::Starting);
+        // An edge of the start protocol is hardly held back: both systems then begin together.
+        let is_starting = self.phase() == Some(Phase::Starting);
+        let is_early = is_starting && !for_deadline && now < self.start_opens;
+        if is_starting && !for_deadline && !is_early {
+            self.start_opens = now + START_DISTANCE;
+        }
+        let interrupted = interrupted || is_starting && !is_early;
         // One pass is enough: tasks release only less urgent ones. A call cannot tell whether an
         // interrupt caused it, so the tasks of interrupts run at each call that the throttle
         // permits.
@@ -134,7 +148,10 @@ impl<B: Board> Core for Core0<'_, B> {
         }
         // A later task may have given the redundancy an input that changes its deadline.
         self.due[0] = self.executor.shared.borrow().redundancy.due();
-        let next = self.due.into_iter().min().unwrap_or(Instant::NEVER);
+        let mut next = self.due.into_iter().min().unwrap_or(Instant::NEVER);
+        if is_early {
+            next = next.min(self.start_opens);
+        }
         next.min(self.executor.doorbell.due())
     }
 }
