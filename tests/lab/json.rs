@@ -42,8 +42,15 @@ fn documents_in_virtual_time_fit_their_schemas() {
     for (name, text) in [("good.xml", good), ("broken.xml", "<broken")] {
         fs::write(folder.join(name), text).unwrap();
     }
-    let judge = ["judge", "scenarios", "--duration", "1", "--json"];
-    fits("judge", &printed(&fixture, &judge, &[0]));
+    // A word behind the option is an argument, as behind any flag; with the file's suffix, the file.
+    let judge = ["judge", "--json", "scenarios", "--duration", "1"];
+    let judged = printed(&fixture, &judge, &[0]);
+    fits("judge", &judged);
+    let judge = ["judge", "--json", "j.json", "scenarios", "--duration", "1"];
+    let text = String::from_utf8(printed(&fixture, &judge, &[0])).unwrap();
+    assert!(text.contains("2 files: 1 driven"), "{text}");
+    let written = fs::read(fixture.folder().join("j.json")).unwrap();
+    assert_eq!(written, judged);
     let thesis = ["thesis", "--board", "sim", "--json"];
     fits("thesis", &printed(&fixture, &thesis, &[0]));
 }

@@ -30,6 +30,17 @@ fn documents_without_a_run_fit_their_schemas() {
         fits("dflash", &printed(&fixture, &["dflash", command, "--json"]));
     }
     fits("boot-demo", &printed(&fixture, &["boot-demo", "--json"]));
+    // With FILE the document goes there, and the text stays.
+    for (words, schema) in [
+        (&["scenarios"][..], "scenarios"),
+        (&["ps"], "ps"),
+        (&["dflash", "show"], "dflash"),
+    ] {
+        let text = printed(&fixture, words);
+        let with_file = [words, &["--json=x"]].concat();
+        assert_eq!(printed(&fixture, &with_file), text, "{words:?}");
+        fits(schema, &fs::read(fixture.folder().join("x")).unwrap());
+    }
 }
 
 /// A run, and the commands that look at it.
@@ -76,10 +87,38 @@ fn documents_of_a_manifest_fit_their_schemas() {
     fits("exec-sign", &printed(&fixture, &sign));
     let check = ["exec", "check", "m.toml", "--json"];
     fits("exec-check", &printed(&fixture, &check));
-    let mut command = fixture.command(&["exec", "run", "m.toml", "--json"]);
+    // The word behind the option is the manifest, and never written.
+    let mut command = fixture.command(&["exec", "run", "--json", "m.toml"]);
     let launcher = command.stdout(Stdio::piped()).spawn().unwrap();
+    let ps = reached(&fixture);
+    fits("exec-ps", &ps);
+    crate::fixture::send(launcher.id() as i32, rustix::process::Signal::INT);
+    let output = launcher.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130));
+    lines_fit("exec-run", &output.stdout);
+    assert_eq!(
+        fs::read_to_string(fixture.folder().join("m.toml")).unwrap(),
+        manifest
+    );
+    let mut command = fixture.command(&["exec", "run", "m.toml", "--json", "events.json"]);
+    let launcher = command.stdout(Stdio::piped()).spawn().unwrap();
+    reached(&fixture);
+    crate::fixture::send(launcher.id() as i32, rustix::process::Signal::INT);
+    let output = launcher.wait_with_output().unwrap();
+    assert!(
+        serde_json::from_slice::<Value>(&output.stdout).is_err(),
+        "{output:?}"
+    );
+    lines_fit(
+        "exec-run",
+        &fs::read(fixture.folder().join("events.json")).unwrap(),
+    );
+}
+
+/// Returns the document of the processes once all of them are ready.
+fn reached(fixture: &Fixture) -> Vec<u8> {
     let begin = Instant::now();
-    let ps = loop {
+    loop {
         assert!(begin.elapsed() < Duration::from_secs(60), "never reached");
         let output = fixture.output(&["exec", "ps", "m.toml", "--json"]);
         let state: Option<Value> = serde_json::from_slice(&output.stdout).ok();
@@ -87,12 +126,7 @@ fn documents_of_a_manifest_fit_their_schemas() {
             break output.stdout;
         }
         std::thread::sleep(Duration::from_millis(50));
-    };
-    fits("exec-ps", &ps);
-    crate::fixture::send(launcher.id() as i32, rustix::process::Signal::INT);
-    let output = launcher.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(130));
-    lines_fit("exec-run", &output.stdout);
+    }
 }
 
 /// A command that fails prints nothing to stdout: the reason is on stderr.
@@ -101,6 +135,8 @@ fn an_error_is_no_document() {
     let fixture = Fixture::new();
     for words in [
         &["run", "--json", "--scenario", "none"][..],
+        &["run", "--json", "x.json", "--scenario", "none"],
+        &["time", "none", "--json=x.json"],
         &["time", "none", "--json"],
         &["dflash", "show", "--json", "--folder", "none"],
         &["exec", "ps", "none.toml", "--json"],
@@ -109,6 +145,7 @@ fn an_error_is_no_document() {
         assert!(!output.status.success(), "{words:?}");
         assert!(output.stdout.is_empty(), "{words:?}");
         assert!(!output.stderr.is_empty(), "{words:?}");
+        assert!(!fixture.folder().join("x.json").exists(), "{words:?}");
     }
 }
 

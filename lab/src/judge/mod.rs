@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, anyhow, bail};
 use drive::{Judgement, Verdict};
 use rss::Collision;
-use tandem_page::output::{OutputFile, OutputFolder};
+use tandem_page::output::OutputFolder;
 use tandem_record::verdict::Rule;
 use tandem_vehicle::Scenario;
 
@@ -33,7 +33,7 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     if let Some(count) = args.variants {
         let made = || variants::variants(count, args.seed);
         return match place {
-            Some(_) if args.json.is_some() => Err(Failure::Usage(anyhow!(
+            Some(_) if args.json.is_given() => Err(Failure::Usage(anyhow!(
                 "--variants with DIR judges nothing: leave out --json, or DIR"
             ))),
             Some(folder) => {
@@ -56,22 +56,13 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     }
     let out = args.out.as_deref().map(ReportFolder::check).transpose();
     let out = out.map_err(Failure::Usage)?;
-    let places = [
-        ("--json", args.json.as_deref()),
-        ("--html", args.html.as_deref()),
-    ];
-    let places = OutputFile::check_all(places);
-    let [json_to, html_to] = places.map_err(Failure::usage)?;
+    let places = args.json.check_with([("--html", args.html.as_deref())]);
+    let (json_to, [html_to]) = places.map_err(Failure::usage)?;
     let solutions = args.solutions.as_deref();
     let solutions = solutions.map(|folder| OutputFolder::check("--solutions", folder));
     let solutions_to = solutions.transpose().map_err(Failure::usage)?;
     let judged = all(args, &files, out.as_ref())?;
-    if !json_to.as_ref().is_some_and(OutputFile::is_stdout) {
-        tandem::print(&table(&judged))?;
-    }
-    if let Some(place) = json_to {
-        place.write(&(serde_json::to_string_pretty(&judged)? + "\n"))?;
-    }
+    tandem::print(&json_to.write(&judged, || table(&judged))?)?;
     if let Some(place) = html_to {
         place.write(&page::page(&folder, &judged))?;
     }
@@ -110,8 +101,7 @@ fn files_at(given: &Path) -> anyhow::Result<(PathBuf, Vec<String>)> {
 /// # Errors
 /// If a result cannot be written, or a drive breaks a bound.
 fn judge_variants(args: &JudgeArgs, made: Vec<variants::Variant>) -> Result<(), Failure> {
-    let [json_to] =
-        OutputFile::check_all([("--json", args.json.as_deref())]).map_err(Failure::usage)?;
+    let json_to = args.json.check().map_err(Failure::usage)?;
     let bar = work::bar(made.len() as u64, "{bar:30} {pos}/{len} {msg}")?;
     let judged = work::on_threads(args.jobs, made.into_iter(), |it| {
         bar.set_message(it.name.clone());
@@ -123,13 +113,8 @@ fn judge_variants(args: &JudgeArgs, made: Vec<variants::Variant>) -> Result<(), 
     });
     bar.finish_and_clear();
     let judged = judged?;
-    if !json_to.as_ref().is_some_and(OutputFile::is_stdout) {
-        tandem::print(&variants::table(&judged))?;
-    }
-    if let Some(place) = json_to {
-        let judged: Vec<&Judgement> = judged.iter().map(|it| &it.1).collect();
-        place.write(&(serde_json::to_string_pretty(&judged)? + "\n"))?;
-    }
+    let judgements: Vec<&Judgement> = judged.iter().map(|it| &it.1).collect();
+    tandem::print(&json_to.write(&judgements, || variants::table(&judged))?)?;
     let broken = judged.iter().filter_map(|(class, it)| {
         let found = variants::violations(*class, it);
         (!found.is_empty()).then(|| format!("{}: {}", it.file, found.join(", ")))
@@ -356,6 +341,7 @@ impl Judgement {
 mod tests {
     use super::*;
     use crate::args::OtherTraffic;
+    use tandem_page::json::JsonOption;
 
     /// A scenario inside the domain is driven. A scenario that starts beside the road and a broken
     /// file are refused. The JSON has the names that scripts rely on.
@@ -374,7 +360,7 @@ mod tests {
             duration: 1.0,
             seed: 1,
             jobs: None,
-            json: None,
+            json: JsonOption::default(),
             html: None,
             solutions: None,
             traffic: OtherTraffic::React,
