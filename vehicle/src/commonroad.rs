@@ -42,10 +42,12 @@ const NUMBER_MAX: f64 = 1e8;
 const LANELET_MAX: f64 = 1e5;
 /// Highest accepted speed of a vehicle, m/s.
 const SPEED_MAX: f64 = 150.0;
+/// The type of a lanelet on which persons cross other lanes.
+const CROSSWALK: &str = "crosswalk";
 /// Types of lanelets that cars must not drive on, and the users whose lanelets they may use.
 const NOT_FOR_CARS: [&str; 7] = [
     "sidewalk",
-    "crosswalk",
+    CROSSWALK,
     "bicycleLane",
     "busLane",
     "shoulder",
@@ -83,6 +85,8 @@ pub struct Lanelet {
     pub speed_limit: Option<f64>,
     /// Cars must not drive here: by its type, or because it is for other users only.
     pub is_refused: bool,
+    /// Persons cross other lanes here: a zebra.
+    pub is_crosswalk: bool,
 }
 
 /// A place at one time.
@@ -424,13 +428,18 @@ impl<'a, 'input> Reader<'a, 'input> {
             right_neighbour: neighbour("adjacentRight")?,
             speed_limit: own.or(signed).filter(|limit| *limit > 0.0),
             is_refused: self.is_refused(node),
+            is_crosswalk: self.names_one(node, "laneletType", &[CROSSWALK]),
         }))
+    }
+
+    /// Returns whether an element of this name in `node` has one of these texts.
+    fn names_one(&self, node: Element<'_, '_>, name: &str, texts: &[&str]) -> bool {
+        elements(node, name).any(|it| texts.contains(&self.text(it)))
     }
 
     /// Returns whether a lanelet is not for cars in its direction.
     fn is_refused(&self, node: Element<'_, '_>) -> bool {
-        let named =
-            |name, names: &[&str]| elements(node, name).any(|it| names.contains(&self.text(it)));
+        let named = |name, texts: &[&str]| self.names_one(node, name, texts);
         let users = ["userOneWay", "userBidirectional"];
         let is_told = users
             .iter()

@@ -241,6 +241,44 @@ fn what_cannot_be_used_is_left_out_with_a_warning() {
     assert!(map(AREAS).warnings.is_empty() && map(SIGN).warnings.is_empty());
 }
 
+/// A zebra across the lane is no junction, and anything else across it is one that is named.
+#[test]
+fn a_zebra_across_the_lane_is_no_junction() {
+    let lanelet = |id: u32, [left, right]: [[(f64, f64); 2]; 2], rest: &str| {
+        let bound = |name: &str, points: [(f64, f64); 2]| {
+            let point = |(x, y)| format!("<point><x>{x}</x><y>{y}</y></point>");
+            format!("<{name}>{}</{name}>", points.map(point).concat())
+        };
+        let bounds = bound("leftBound", left) + &bound("rightBound", right);
+        format!("<lanelet id=\"{id}\">{bounds}{rest}</lanelet>")
+    };
+    let own = [
+        [(-50.0, 1.75), (400.0, 1.75)],
+        [(-50.0, -1.75), (400.0, -1.75)],
+    ];
+    let across = [[(60.0, -8.0), (60.0, 8.0)], [(63.0, -8.0), (63.0, 8.0)]];
+    for (kind, reason) in [
+        ("crosswalk", None),
+        (
+            "sidewalk",
+            Some("a junction (lanelet 2 at 90° to the lane) 60 m ahead of the start"),
+        ),
+    ] {
+        let kind = format!("<laneletType>{kind}</laneletType>");
+        let xml = format!(
+            "<commonRoad commonRoadVersion=\"2020a\" timeStepSize=\"0.1\" benchmarkID=\"zebra\">{}{}\
+             <planningProblem id=\"9\"><initialState><position><point><x>0</x><y>0</y></point>\
+             </position><orientation><exact>0</exact></orientation><time><exact>0</exact></time>\
+             <velocity><exact>20</exact></velocity></initialState></planningProblem></commonRoad>",
+            lanelet(1, own, ""),
+            lanelet(2, across, &kind),
+        );
+        let scenario = Scenario::parse(&xml, "zebra").unwrap();
+        assert_eq!(scenario.outside_domain(), reason, "{kind}");
+        assert!(scenario.warnings().is_empty(), "{:?}", scenario.warnings());
+    }
+}
+
 /// Small files that could take long to read are refused with the reason, or read quickly: no case
 /// takes seconds.
 #[test]
