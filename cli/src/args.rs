@@ -178,6 +178,10 @@ pub struct RunArgs {
     )]
     pub scenario: String,
 
+    /// Of a file with several planning problems: drive the one with this id [default: the first]
+    #[arg(long, value_name = "ID", allow_negative_numbers = true)]
+    pub problem: Option<i64>,
+
     /// What the controller runs on
     #[arg(long, value_enum, default_value_t = BoardKind::Host)]
     pub board: BoardKind,

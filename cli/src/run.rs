@@ -113,6 +113,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 pub fn config_of(args: &RunArgs, profile: LimitProfile) -> RunConfig {
     RunConfig {
         scenario: args.scenario.clone(),
+        problem: args.problem,
         seed: args.seed,
         duration_s: args.duration,
         profile,
@@ -405,7 +406,7 @@ impl Checked {
 
     fn new(args: &RunArgs) -> anyhow::Result<Self> {
         check_board(args)?;
-        check_scenario(&args.scenario)?;
+        check_scenario(args)?;
         let can = multicast(args);
         can.as_ref().map(OpenBus::join).transpose()?;
         let domain = args.network().map(topics::claim).transpose()?;
@@ -457,14 +458,15 @@ pub fn check_board(args: &RunArgs) -> anyhow::Result<()> {
 }
 
 /// Checks that the vehicle's process can read the scenario.
-fn check_scenario(scenario: &str) -> anyhow::Result<()> {
+fn check_scenario(args: &RunArgs) -> anyhow::Result<()> {
+    let scenario = &*args.scenario;
     let path = Path::new(scenario);
     // A pipe can only be read once, and only by this process.
     let is_special = fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir());
     if is_special && !Scenario::names().any(|name| name == scenario) {
         bail!("--scenario {scenario}: it is no regular file; save it as one first");
     }
-    let loaded = Scenario::load(scenario)?;
+    let loaded = Scenario::load_problem(scenario, args.problem.into())?;
     if let Some(reason) = loaded.outside_domain() {
         bail!(
             "--scenario {scenario}: outside the operational design domain: {reason}; \
@@ -473,6 +475,9 @@ fn check_scenario(scenario: &str) -> anyhow::Result<()> {
     }
     for warning in loaded.warnings() {
         eprintln!("warning: {warning}");
+    }
+    if args.problem.is_some() && !args.quiet {
+        eprintln!("{scenario}: {} is driven", loaded.planning_problem());
     }
     fs::canonicalize(path).map_or(Ok(()), |path| outside_shared_memory("--scenario", &path))
 }

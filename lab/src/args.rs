@@ -140,6 +140,15 @@ pub(crate) struct JudgeArgs {
     )]
     pub(crate) variants: Option<u32>,
 
+    /// Of one file with several planning problems: drive the one with this id [default: all]
+    #[arg(
+        long,
+        value_name = "ID",
+        allow_negative_numbers = true,
+        conflicts_with = "variants"
+    )]
+    pub(crate) problem: Option<i64>,
+
     /// How long to drive each scenario, in scenario time: 20, 20s, 1m
     #[arg(long, value_name = "TIME", default_value = "20s", value_parser = tandem::args::parse_duration)]
     pub(crate) duration: f64,
@@ -164,11 +173,12 @@ pub(crate) struct JudgeArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) html: Option<PathBuf>,
 
-    /// Write each drive as a CommonRoad solution to this folder: solution_NAME for the file NAME
+    /// Write each drive as a CommonRoad solution to this folder: solution_NAME for the file NAME,
+    /// and solution_STEM-ID.xml for each of several planning problems of a file STEM.xml
     #[arg(long, value_name = "DIR")]
     pub(crate) solutions: Option<PathBuf>,
 
-    /// Of one file: write the report of the drive to this folder, as for a run
+    /// Of one drive: write its report to this folder, as for a run
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use tandem_page::command_line::EXIT_STATUS;
 
-use crate::fixture::Fixture;
+use crate::fixture::{Fixture, refuses};
 use crate::place::own_place;
 use crate::schema::{fits, lines_fit};
 
@@ -68,6 +68,45 @@ fn documents_of_a_run_fit_their_schemas() {
     fits("run", run.printed().to_string().as_bytes());
     let report = fixture.folder().join("tandem-report/metrics.json");
     fits("run", &fs::read(report).unwrap());
+}
+
+/// A run drives the planning problem that it is told, and its report says which.
+#[test]
+fn a_run_says_which_planning_problem_it_drives() {
+    let fixture = Fixture::new();
+    let good = include_str!("../../vehicle/fixtures/commonroad/sign-2020a.xml");
+    let (_, problem) = good.split_once("<planningProblem id=\"20\">").unwrap();
+    let (problem, _) = problem.split_once("</planningProblem>").unwrap();
+    let slow = problem.replacen("<exact>12<", "<exact>6<", 1);
+    let slow = format!("<planningProblem id=\"22\">{slow}</planningProblem></commonRoad>");
+    let two = good.replace("</commonRoad>", &slow);
+    fs::write(fixture.folder().join("two.xml"), two).unwrap();
+    let words = [
+        "run",
+        "--scenario",
+        "two.xml",
+        "--duration",
+        "1",
+        "--problem",
+    ];
+    let output = fixture.output(&[&words[..], &["22", "--json=r.json"]].concat());
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        said.contains("two.xml: planning problem 22 (2 of 2) is driven"),
+        "{said}"
+    );
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.contains("planning problem 22 (2 of 2)"), "{text}");
+    let figures = fs::read(fixture.folder().join("r.json")).unwrap();
+    fits("run", &figures);
+    let figures: Value = serde_json::from_slice(&figures).unwrap();
+    let distance_m = figures["distance_m"].as_f64().unwrap();
+    assert!((4.0..9.0).contains(&distance_m), "{distance_m}");
+    refuses(
+        &fixture,
+        &[&words[..], &["7"]].concat(),
+        &["choose one of 20, 22"],
+    );
 }
 
 /// Processes of a manifest.
