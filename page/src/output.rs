@@ -7,6 +7,7 @@
 //! place is opened at the check and stays open until the results are written.
 
 use rustix::fs::{AtFlags, Mode, OFlags, fchmod, mkdirat, openat, renameat, statat, unlinkat};
+use rustix::process::geteuid;
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
@@ -235,10 +236,11 @@ fn replaceable(path: &Path, found: &fs::Metadata) -> Option<Target> {
     // A path such as /dev/stdin leads to a file that may have no name any more.
     let named = fs::metadata(&full).ok()?;
     let is_same = (named.dev(), named.ino()) == (found.dev(), found.ino());
-    // Another name of the same file would keep the old content.
-    let is_alone = found.nlink() == 1;
+    // Another name of the same file would keep the old content. In a folder such as /tmp only the
+    // owner can replace a file.
+    let is_own = found.nlink() == 1 && found.uid() == geteuid().as_raw();
     let folder = open_folder(parent(&full)).ok()?;
-    (is_same && is_alone)
+    (is_same && is_own)
         .then(|| Target::Absent(folder, full.file_name().unwrap_or_default().to_owned()))
 }
 

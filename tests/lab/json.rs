@@ -42,7 +42,7 @@ fn documents_in_virtual_time_fit_their_schemas() {
     for (name, text) in [("good.xml", good), ("broken.xml", "<broken")] {
         fs::write(folder.join(name), text).unwrap();
     }
-    // A word behind the option is an argument, as behind any flag; with the file's suffix, the file.
+    // A word behind the option is the file if it has its suffix; else it is an argument.
     let judge = ["judge", "--json", "scenarios", "--duration", "1"];
     let judged = printed(&fixture, &judge, &[0]);
     fits("judge", &judged);

@@ -18,6 +18,7 @@ use crate::geometry::{Vec2, wrap_angle};
 
 mod goal;
 mod problem;
+mod users;
 
 pub use goal::{Area, Goal, Nearest};
 pub use problem::{PlanningProblem, ProblemChoice, problem_ids};
@@ -44,19 +45,6 @@ const NUMBER_MAX: f64 = 1e8;
 const LANELET_MAX: f64 = 1e5;
 /// Highest accepted speed of a vehicle, m/s.
 const SPEED_MAX: f64 = 150.0;
-/// The type of a lanelet on which persons cross other lanes.
-const CROSSWALK: &str = "crosswalk";
-/// Types of lanelets that cars must not drive on, and the users whose lanelets they may use.
-const NOT_FOR_CARS: [&str; 7] = [
-    "sidewalk",
-    CROSSWALK,
-    "bicycleLane",
-    "busLane",
-    "shoulder",
-    "border",
-    "restricted",
-];
-const FOR_CARS: [&str; 2] = ["vehicle", "car"];
 /// Limits of the time step, s.
 const STEP_RANGE: core::ops::RangeInclusive<f64> = 1e-3..=60.0;
 /// Latest accepted time, s: a day.
@@ -431,24 +419,8 @@ impl<'a, 'input> Reader<'a, 'input> {
             right_neighbour: neighbour("adjacentRight")?,
             speed_limit: own.or(signed).filter(|limit| *limit > 0.0),
             is_refused: self.is_refused(node),
-            is_crosswalk: self.names_one(node, "laneletType", &[CROSSWALK]),
+            is_crosswalk: self.is_crosswalk(node),
         }))
-    }
-
-    /// Returns whether an element of this name in `node` has one of these texts.
-    fn names_one(&self, node: Element<'_, '_>, name: &str, texts: &[&str]) -> bool {
-        elements(node, name).any(|it| texts.contains(&self.text(it)))
-    }
-
-    /// Returns whether a lanelet is not for cars in its direction.
-    fn is_refused(&self, node: Element<'_, '_>) -> bool {
-        let named = |name, texts: &[&str]| self.names_one(node, name, texts);
-        let users = ["userOneWay", "userBidirectional"];
-        let is_told = users
-            .iter()
-            .any(|name| elements(node, name).next().is_some());
-        let for_cars = users.iter().any(|name| named(name, &FOR_CARS));
-        named("laneletType", &NOT_FOR_CARS) || is_told && !for_cars
     }
 
     fn obstacle(&self, node: Element<'_, '_>, is_static: bool, step_s: f64) -> Result<Obstacle> {

@@ -146,7 +146,7 @@ pub(crate) struct Picture {
     pub(crate) hit_at: Option<Vec2>,
 }
 
-/// Drives each planning problem of the file of the folder, or the chosen one, and judges the drives.
+/// Drives each planning problem of the file in the folder, or the chosen one, and judges each.
 /// With `out`, also writes the report of the drive.
 ///
 /// # Errors
