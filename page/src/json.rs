@@ -185,6 +185,18 @@ pub(crate) fn joined(words: impl IntoIterator<Item = OsString>) -> Vec<OsString>
     all
 }
 
+/// Returns what to tell the user of a wrong command line in which an argument follows `--json`:
+/// perhaps it was meant as FILE.
+pub(crate) fn hint(words: &[OsString]) -> Option<String> {
+    let is_it =
+        |pair: &&[OsString]| pair[0] == OPTION && !pair[1].as_encoded_bytes().starts_with(b"-");
+    let pair = words.windows(2).find(is_it)?;
+    let word = pair[1].display();
+    Some(format!(
+        "{OPTION} {word}: for a file of this name write {OPTION}={word}"
+    ))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -222,6 +234,21 @@ mod tests {
         ] {
             let expected = (file.map(str::to_owned), places.to_owned());
             assert_eq!(parsed(line), expected, "{line}");
+        }
+    }
+
+    #[test]
+    fn a_word_that_is_no_file_is_explained() {
+        let hint = |line: &str| hint(&joined(line.split(' ').map(OsString::from)));
+        let told = "--json out: for a file of this name write --json=out";
+        assert_eq!(hint("x DIR --json out").as_deref(), Some(told));
+        for line in [
+            "x --json",
+            "x --json out.json",
+            "x --json --quiet",
+            "x json out",
+        ] {
+            assert_eq!(hint(line), None, "{line}");
         }
     }
 

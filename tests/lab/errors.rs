@@ -66,6 +66,7 @@ fn a_campaign_that_cannot_be() {
             &["sim", "--only", "random:1", "--json"],
             "cannot be used with",
         ),
+        (&["judge", "DIR", "--json", "out"], "write --json=out"),
         (&["flash", "--json", "x.srec"], "--json is for --info"),
         (
             &["sim", "--faults", "supply.toml"],
