@@ -13,7 +13,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::time::Instant;
 use tandem_board_host::{UnsupervisedSystem, isolation};
-use tandem_page::output::{OutputFile, OutputFolder, STDOUT};
+use tandem_page::json::JsonOption;
+use tandem_page::output::OutputFolder;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -67,10 +68,9 @@ pub struct BenchArgs {
     #[arg(long, value_name = "spin|memory:N")]
     pub load: Option<Load>,
 
-    /// Write all figures and a description of the machine to this file [without FILE: to stdout,
-    /// instead of the table]
-    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
-    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub json: JsonOption,
 
     /// Write a page with percentile curves and tables to this file
     #[arg(long, value_name = "FILE")]
@@ -115,9 +115,9 @@ pub struct CompareArgs {
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=3600))]
     pub seconds: u16,
 
-    /// Write the comparison to this file [without FILE: to stdout, instead of the table]
-    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
-    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub json: JsonOption,
 
     /// Which groups to compare [default: all]
     #[arg(value_enum, value_name = "GROUP")]
@@ -166,9 +166,8 @@ pub fn bench(args: &BenchArgs) -> Result<Printed, NoFigures> {
 /// Measures, and writes the outputs that `args` names. Ctrl-C ends the measurement early. The
 /// figures measured so far are still written.
 fn run(args: &BenchArgs) -> Result<Printed, NoFigures> {
-    let files = [("--json", &args.json), ("--html", &args.html)];
-    let files = files.map(|(option, path)| (option, path.as_deref()));
-    let [json, html] = OutputFile::check_all(files).map_err(usage)?;
+    let files = args.json.check_with([("--html", args.html.as_deref())]);
+    let (json, [html]) = files.map_err(usage)?;
     let folder = args.hgrm.as_deref();
     let folder = folder.map(|path| OutputFolder::check("--hgrm", path));
     let folder = folder.transpose().map_err(usage)?;
@@ -195,11 +194,9 @@ fn run(args: &BenchArgs) -> Result<Printed, NoFigures> {
         return Err(nothing(&results));
     }
     const NOT_WRITTEN: &str = "measured, but not written";
-    let is_quiet = json.as_ref().is_some_and(OutputFile::is_stdout);
-    if let Some(place) = json {
-        let text = serde_json::to_string_pretty(&results)? + "\n";
-        place.write(&text).context(NOT_WRITTEN)?;
-    }
+    let width = terminal_size::terminal_size().map(|(width, _)| usize::from(width.0));
+    let table = || results.table(width.unwrap_or(table::USUAL));
+    let shown = json.write(&results, table).context(NOT_WRITTEN)?;
     if let Some(place) = html {
         place.write(&page::page(&results)).context(NOT_WRITTEN)?;
     }
@@ -208,13 +205,8 @@ fn run(args: &BenchArgs) -> Result<Printed, NoFigures> {
         let files: Vec<_> = measured.map(|one| distribution(one, &results)).collect();
         folder.fill(&files).context(NOT_WRITTEN)?;
     }
-    let width = terminal_size::terminal_size().map(|(width, _)| usize::from(width.0));
     let why = "interrupted: these are the figures so far".to_owned();
     let besides = results.interrupted.then_some((why, 130));
-    let shown = match is_quiet {
-        true => String::new(),
-        false => results.table(width.unwrap_or(table::USUAL)),
-    };
     Ok((shown, besides))
 }
 
@@ -307,8 +299,7 @@ fn progress_bar() -> ProgressBar {
 
 /// Measures with the program before the change and with this one in turn, and compares.
 fn compare(args: &CompareArgs) -> Result<Printed, NoFigures> {
-    let file = args.json.as_deref();
-    let [place] = OutputFile::check_all([("--json", file)]).map_err(usage)?;
+    let place = args.json.check().map_err(usage)?;
     let this = std::env::current_exe().context("cannot run /proc/self/exe");
     let programs = [&args.against, &this.map_err(usage)?];
     let groups = args.groups.iter().map(|group| group.name());
@@ -328,17 +319,9 @@ fn compare(args: &CompareArgs) -> Result<Printed, NoFigures> {
     }
     bar.finish_and_clear();
     let comparison = compare::compare(&pairs).map_err(usage)?;
-    let is_quiet = place.as_ref().is_some_and(OutputFile::is_stdout);
-    if let Some(place) = place {
-        let json = serde_json::to_string_pretty(&comparison)? + "\n";
-        place.write(&json).context("compared, but not written")?;
-    }
+    let shown = place.write(&comparison, || comparison.table());
+    let shown = shown.context("compared, but not written")?;
     let slower = comparison.slower.join(", ");
     let why = format!("slower beyond noise: {slower}");
-    let shown = if is_quiet {
-        String::new()
-    } else {
-        comparison.table()
-    };
     Ok((shown, (!slower.is_empty()).then_some((why, 1))))
 }

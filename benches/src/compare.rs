@@ -91,7 +91,7 @@ pub(crate) fn figures_of(program: &Path, args: &[String]) -> anyhow::Result<Resu
     // The file has no name, so the kernel deletes it however this process ends.
     let mut file = tempfile::tempfile()?;
     let mut command = Command::new(program);
-    command.args(["bench", "--json", "/dev/stdin"]).args(args);
+    command.args(["bench", "--json=/dev/stdin"]).args(args);
     let command = command.stdin(file.try_clone()?).stdout(Stdio::null());
     let output = command.output();
     let output = output.with_context(|| format!("cannot run {name}"))?;

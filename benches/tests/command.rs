@@ -183,10 +183,10 @@ fn a_benchmark_that_cannot_be_is_refused_at_once() {
     for (args, word) in [
         (&["spni"][..], "possible values: spin"),
         (&["--json", "no/such/a.json"], "create it first"),
-        (&["--json", "."], "it is a folder"),
+        (&["--json=."], "it is a folder"),
         (&["--html", "."], "name a file"),
         (&["--hgrm", "other.json"], "name a folder"),
-        (&["--json", "a", "--html", "./a"], "the same file"),
+        (&["--json=a", "--html", "./a"], "the same file"),
         (&["--load", "walk:2"], "spin and memory"),
         (&["--load", "spin:0"], "from 1 to 64"),
         (&["--cpus", "0,70000"], "name two of the CPUs"),

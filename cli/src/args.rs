@@ -16,6 +16,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem_board::SystemId;
 use tandem_board_udp::UdpPlace;
 use tandem_boot_host::udp_bus::{GROUP, PORT};
+use tandem_page::json::JsonOption;
 use tandem_vehicle::sensors::{NoSensorFault, NoSensorTiming};
 use tandem_vehicle::{SensorFault, SensorTiming};
 
@@ -34,7 +35,8 @@ The three jobs:
              the other system continues to drive; the report shows how
   reuse      the crates shm, redundancy, cores and bus are no_std; see README.md
 
-With --json a command prints one JSON document, and nothing else on stdout; docs/json.md.";
+With --json a command prints one JSON document, and nothing else on stdout; with --json=FILE, or
+--json FILE if FILE ends in .json, it writes the document there beside its text; docs/json.md.";
 
 const RUN_EXAMPLES: &str = "\
 Examples:
@@ -150,17 +152,17 @@ pub struct BootDemoArgs {
     #[arg(long, value_name = "FOLDER")]
     pub images: Option<PathBuf>,
 
-    /// Print JSON: the records, the time of the download, and the frame of each core
-    #[arg(long)]
-    pub json: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub json: JsonOption,
 }
 
 /// Arguments of `tandem scenarios`.
 #[derive(Debug, Args)]
 pub struct ScenariosArgs {
-    /// Print a JSON array of objects with name and description
-    #[arg(long)]
-    pub json: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub json: JsonOption,
 }
 
 /// Arguments of `tandem run`.
@@ -175,6 +177,10 @@ pub struct RunArgs {
         default_value_if("soc", ArgPredicate::IsPresent, "parking")
     )]
     pub scenario: String,
+
+    /// Of a file with several planning problems: drive the one with this id [default: the first]
+    #[arg(long, value_name = "ID", allow_negative_numbers = true)]
+    pub problem: Option<i64>,
 
     /// What the controller runs on
     #[arg(long, value_enum, default_value_t = BoardKind::Host)]
@@ -302,9 +308,9 @@ pub struct RunArgs {
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0")]
     pub web: Option<u16>,
 
-    /// Print only the contents of metrics.json on stdout
-    #[arg(long)]
-    pub json: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub json: JsonOption,
 
     /// Print only errors, and where the run is shown
     #[arg(long, short)]
@@ -484,9 +490,9 @@ pub struct DflashArgs {
     #[arg(long, value_name = "DIR", default_value = ".", global = true)]
     pub folder: PathBuf,
 
-    /// Print JSON: an object for each system
-    #[arg(long, global = true)]
-    pub json: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub json: JsonOption,
 }
 
 /// The subcommands of `tandem dflash`.
@@ -561,9 +567,9 @@ pub struct TopicsPlace {
     #[arg(long, value_name = "FILE#LIBRARY::PROFILE", global = true)]
     pub profile: Option<ProfileName>,
 
-    /// Print JSON; `echo` prints one object a line
-    #[arg(long, global = true)]
-    pub json: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub json: JsonOption,
 
     /// How long to listen, s: 5, 500ms [default: list 3s, rate, age and loss 5s, others no limit]
     #[arg(long = "for", value_name = "TIME", value_parser = parse_duration, global = true)]
@@ -604,9 +610,9 @@ fn parse_way(text: &str) -> Result<f32, String> {
 /// Arguments of `tandem ps`.
 #[derive(Debug, Args)]
 pub struct PsArgs {
-    /// Print a JSON array of objects with pid, kind, system, core, role, cpu
-    #[arg(long)]
-    pub json: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub json: JsonOption,
 }
 
 /// Values of `--timing`.

@@ -11,6 +11,7 @@ use tandem_board::{CanId, CoreId, Duration, Instant, SystemId, VehiclePort};
 use tandem_board_host::{HostVehiclePort, LaunchPlan, Launcher, Schedule, VehicleArgs};
 use tandem_boot::{FIRST_ID, Slot};
 use tandem_boot_host::{FileSender, ToDo, records};
+use tandem_page::json::JsonOutput;
 use tandem_processes::boot::{self, ProgramFlashes};
 use tandem_processes::files::RunFiles;
 use tandem_processes::run_config::{RunConfig, write_lines};
@@ -42,12 +43,9 @@ impl Downloaded {
     /// Prints it for people, or as JSON.
     ///
     /// # Errors
-    /// If stdout cannot be written.
-    pub fn show(&self, as_json: bool) -> anyhow::Result<()> {
-        match as_json {
-            true => crate::print_json(self),
-            false => crate::print(&self.to_string()),
-        }
+    /// If stdout or the file cannot be written.
+    pub fn show(&self, json_to: JsonOutput) -> anyhow::Result<()> {
+        crate::print(&json_to.write(self, || self.to_string())?)
     }
 }
 

@@ -12,7 +12,6 @@ use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board_host::process_list::{self, RunError};
 use tandem_observers::{ChainedClock, News, Observer, VehicleClocks};
-use tandem_page::output::OutputFile;
 use tandem_processes::percentiles::DeviationFigures;
 use tandem_record::clocks::ChainClock;
 use tandem_record::description::{is_holdover, no_grandmaster, time_source, time_status};
@@ -35,9 +34,7 @@ const SILENT: Duration = Duration::from_secs(1);
 /// [`Failure::NothingHeard`] if the run does not publish, or has no time;
 /// [`Failure::CutShort`] at Ctrl-C.
 pub fn run(args: &TimeArgs) -> Result<(), Failure> {
-    let places = OutputFile::check_all([("--json", args.json.as_deref())]);
-    let [json_to] = places.map_err(Failure::usage)?;
-    let is_quiet = json_to.as_ref().is_some_and(OutputFile::is_stdout);
+    let json_to = args.json.check().map_err(Failure::usage)?;
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&stop)).context("Ctrl-C")?;
@@ -59,7 +56,7 @@ pub fn run(args: &TimeArgs) -> Result<(), Failure> {
             }
         });
         if let Some(time) = newest
-            && !is_quiet
+            && !json_to.takes_stdout()
         {
             screen.show(&time)?;
         }
@@ -73,10 +70,7 @@ pub fn run(args: &TimeArgs) -> Result<(), Failure> {
              if its run has a network (tandem run --domain) without a grandmaster"
         )));
     }
-    if let Some(place) = json_to {
-        let json = serde_json::to_string_pretty(&seen.figures(&run))?;
-        place.write(&(json + "\n"))?;
-    }
+    crate::print(&json_to.write(&seen.figures(&run), String::new)?)?;
     match stop.load(Ordering::Relaxed) {
         true => Err(Failure::CutShort),
         false => Ok(()),

@@ -25,6 +25,7 @@ pub fn run(args: &DflashArgs) -> Result<String, Failure> {
         let what = anyhow!("--folder {shown}: there is no such folder");
         return Err(Failure::Usage(what));
     }
+    let json_to = args.json.check().map_err(Failure::usage)?;
     match args.command {
         DflashCommand::Show => {}
         DflashCommand::Init { master } => {
@@ -49,10 +50,7 @@ pub fn run(args: &DflashArgs) -> Result<String, Failure> {
         let _ = writeln!(text, "{system}  {}", stored.text(&path));
         rows.push(stored.json(system));
     }
-    if args.json {
-        text = serde_json::to_string_pretty(&rows)? + "\n";
-    }
-    Ok(text)
+    Ok(json_to.write(&rows, || text)?)
 }
 
 fn path(folder: &Path, system: SystemId) -> PathBuf {
@@ -180,13 +178,14 @@ impl Stored {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tandem_page::json::JsonOption;
     use tandem_redundancy::FailureMode;
 
     fn run_on(folder: &Path, command: DflashCommand) -> String {
         let args = DflashArgs {
             command,
             folder: folder.to_owned(),
-            json: false,
+            json: JsonOption::default(),
         };
         run(&args).unwrap()
     }
@@ -245,7 +244,7 @@ mod tests {
             let args = DflashArgs {
                 command,
                 folder: folder.clone(),
-                json: false,
+                json: JsonOption::default(),
             };
             let error = said(run(&args).unwrap_err());
             assert!(error.contains("no such folder"), "{error}");
@@ -260,7 +259,7 @@ mod tests {
         let args = DflashArgs {
             command: DflashCommand::Clear { system: None },
             folder: folder.path().to_owned(),
-            json: false,
+            json: JsonOption::default(),
         };
         let error = said(run(&args).unwrap_err());
         assert!(error.contains("in use"), "{error}");

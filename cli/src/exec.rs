@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, anyhow};
+use serde_json::Value;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tandem_exec_host::launcher::{self, GuardEnd, GuardPlan, PlatformState, ProcessLauncher, Told};
 use tandem_manifest::Manifest;
@@ -54,7 +55,7 @@ fn guard(args: &ExecRunArgs) -> Result<(), Failure> {
             .iter()
             .flat_map(|it| ["--anchor".as_ref(), it.as_os_str()]),
     );
-    command.args(of.json.then_some("--json"));
+    command.args(of.json.word());
     let words = |text: &Option<String>| {
         let text = text.as_deref().unwrap_or_default();
         text.split_whitespace().map(str::to_owned).collect()
@@ -87,39 +88,40 @@ fn guard(args: &ExecRunArgs) -> Result<(), Failure> {
 }
 
 fn launch(args: &ManifestArgs) -> Result<(), Failure> {
+    let mut lines = args.json.check().map_err(Failure::usage)?.lines();
     let stops = signals(&[SIGTERM])?;
     let opened = ProcessLauncher::open(&args.manifest, args.anchor.as_deref());
     let launcher = opened.map_err(Failure::usage)?;
     let mut tell = |told: &Told| {
-        let line = match args.json {
-            true => serde_json::to_string(told).unwrap_or_default(),
-            false => told.to_string(),
-        };
+        let line = lines.line(told, || format!("{told}\n"));
         // What is not heard is no reason to end processes.
-        let _ = crate::print(&(line + "\n"));
+        let _ = crate::print(&line.unwrap_or_default());
     };
-    match launcher.run(stops, true, &mut tell) {
-        Ok(()) => Ok(()),
+    let ended = launcher.run(stops, true, &mut tell);
+    let written = lines.finish();
+    match ended {
+        Ok(()) => Ok(written?),
         Err(why) => {
             eprintln!("{why}");
+            if let Err(why) = written {
+                eprintln!("{why}");
+            }
             std::process::exit(i32::from(launcher::give_up(&why)));
         }
     }
 }
 
 fn check(args: &ManifestArgs) -> Result<(), Failure> {
+    let json_to = args.json.check().map_err(Failure::usage)?;
     let checked = launcher::check(&args.manifest, args.anchor.as_deref());
     let manifest = checked.map_err(Failure::usage)?;
     let name = |at: &usize| manifest.processes[*at].name();
     let names = |of: &[usize]| of.iter().map(name).collect::<Vec<_>>().join(", ");
-    if args.json {
-        let targets = manifest.targets.iter().map(|target| {
-            let members: Vec<_> = target.members.iter().map(name).collect();
-            (target.name().to_owned(), members)
-        });
-        let targets: std::collections::BTreeMap<_, _> = targets.collect();
-        return Ok(crate::print(&(serde_json::to_string(&targets)? + "\n"))?);
-    }
+    let members = manifest.targets.iter().map(|target| {
+        let members: Vec<_> = target.members.iter().map(name).collect();
+        (target.name().to_owned(), members)
+    });
+    let members: std::collections::BTreeMap<_, _> = members.collect();
     let mut text = table(&["process", "after"], &rows(&manifest, &names));
     text.push('\n');
     let targets = manifest.targets.iter().enumerate().map(|(at, target)| {
@@ -138,7 +140,7 @@ fn check(args: &ManifestArgs) -> Result<(), Failure> {
     });
     let targets: Vec<_> = targets.collect();
     text += &table(&["run target", "", "processes"], &targets);
-    Ok(crate::print(&text)?)
+    Ok(crate::print(&json_to.write(&members, || text)?)?)
 }
 
 fn rows(manifest: &Manifest, names: &dyn Fn(&[usize]) -> String) -> Vec<Vec<String>> {
@@ -156,10 +158,9 @@ fn ask(manifest: &Path, request: &str) -> Result<String, Failure> {
 }
 
 fn ps(args: &ManifestArgs) -> Result<(), Failure> {
+    let json_to = args.json.check().map_err(Failure::usage)?;
     let answer = ask(&args.manifest, "ps")?;
-    if args.json {
-        return Ok(crate::print(&(answer + "\n"))?);
-    }
+    let document: Value = serde_json::from_str(&answer).context("the launcher's answer")?;
     let state: PlatformState = serde_json::from_str(&answer).context("the launcher's answer")?;
     let rows = state.processes.into_iter().map(|it| {
         let pid = it.pid.map_or_else(String::new, |pid| pid.to_string());
@@ -179,9 +180,8 @@ fn ps(args: &ManifestArgs) -> Result<(), Failure> {
         "not reached yet"
     };
     let table = table(&["process", "state", "pid", "restarts", "status"], &rows);
-    Ok(crate::print(&format!(
-        "run target {target}: {reached}\n\n{table}"
-    ))?)
+    let text = || format!("run target {target}: {reached}\n\n{table}");
+    Ok(crate::print(&json_to.write(&document, text)?)?)
 }
 
 /// Returns a table with columns as wide as their texts.

@@ -8,6 +8,7 @@ use serde_json::json;
 use tandem_boot_host::SigningKey;
 use tandem_exec_host::trust::sign;
 use tandem_manifest::Manifest;
+use tandem_page::json::{JsonOption, JsonOutput};
 use tandem_processes::boot::{PRIVATE_DER, key};
 
 use crate::failure::Failure;
@@ -26,9 +27,8 @@ pub struct SignArgs {
     /// Raise it to retire older lists, and `lowest-counter` in the anchor after that
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     counter: u32,
-    /// Print JSON: the parts, and the public key
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: JsonOption,
 }
 
 /// Signs, and prints each part and the public key.
@@ -37,11 +37,12 @@ pub struct SignArgs {
 /// [`Failure::Usage`] if a file cannot be read, a part cannot be found, or a program cannot start
 /// from checked bytes.
 pub fn run(args: &SignArgs) -> Result<(), Failure> {
-    let text = signed(args).map_err(Failure::Usage)?;
+    let json_to = args.json.check().map_err(Failure::usage)?;
+    let text = signed(args, json_to).map_err(Failure::Usage)?;
     Ok(crate::print(&text)?)
 }
 
-fn signed(args: &SignArgs) -> anyhow::Result<String> {
+fn signed(args: &SignArgs, json_to: JsonOutput) -> anyhow::Result<String> {
     let shown = args.manifest.display();
     let bytes = std::fs::read(&args.manifest).with_context(|| shown.to_string())?;
     let manifest = Manifest::read(&bytes).with_context(|| shown.to_string())?;
@@ -64,10 +65,6 @@ fn signed(args: &SignArgs) -> anyhow::Result<String> {
     // The text names the reason already, which is also the source.
     let parts = parts.map_err(|error| anyhow!("{error}"))?;
     let public = key.public().map(|byte| format!("{byte:02x}")).concat();
-    if args.json {
-        let all = json!({ "key_number": key.number, "public_key": public, "parts": parts });
-        return Ok(serde_json::to_string_pretty(&all)? + "\n");
-    }
     let mut text = String::new();
     for part in &parts {
         let kind = format!("{:?}", part.kind).to_lowercase();
@@ -83,7 +80,8 @@ fn signed(args: &SignArgs) -> anyhow::Result<String> {
         parts.len(),
         key.number
     )?;
-    Ok(text)
+    let all = json!({ "key_number": key.number, "public_key": public, "parts": parts });
+    Ok(json_to.write(&all, || text)?)
 }
 
 #[cfg(test)]
@@ -118,7 +116,7 @@ mod tests {
         let line = ["sign", "--counter", "3", "--key"].map(PathBuf::from);
         let files = ["key.der", "m.toml"].map(path);
         let args = Line::parse_from(line.iter().chain(&files)).args;
-        let said = signed(&args).unwrap();
+        let said = signed(&args, JsonOutput::default()).unwrap();
         let public = said.trim_end().rsplit(' ').next().unwrap();
         let anchor = format!("mode = \"strict\"\nlowest-counter = 3\nkeys = [\"{public}\"]\n");
         fs::write(path("anchor.toml"), anchor).unwrap();
@@ -131,7 +129,9 @@ mod tests {
         fs::write(path("m.toml"), text.replace("drive", "parks")).unwrap();
         assert!(open().is_err());
         fs::write(path("key.der"), [4; 32]).unwrap();
-        let said = signed(&args).unwrap_err().to_string();
+        let said = signed(&args, JsonOutput::default())
+            .unwrap_err()
+            .to_string();
         assert!(said.contains("not an Ed25519 key in DER"), "{said}");
     }
 }

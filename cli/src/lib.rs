@@ -38,7 +38,6 @@ use std::io::{self, Write as _};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use serde::Serialize;
 use tandem_board_host::{InvalidArgs, ProcessArgs, supply};
 use tandem_processes::run_config::RunConfig;
 use tandem_processes::{core_process, vehicle};
@@ -84,14 +83,6 @@ fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
             .context("vehicle")
         }
     }
-}
-
-/// Writes a value to stdout as a JSON document. A closed pipe is not an error.
-///
-/// # Errors
-/// If the value has no form in JSON, or stdout cannot be written.
-pub fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
-    print(&(serde_json::to_string_pretty(value)? + "\n"))
 }
 
 /// Writes to stdout. A closed pipe is not an error.

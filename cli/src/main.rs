@@ -10,8 +10,8 @@ use tandem::beside::{Program, become_program};
 use tandem::board_kind::{BoardKind, DemoBoard};
 use tandem::failure::Failure;
 use tandem::{
-    boot_demo, clock_view, dflash, exec, grandmaster, injection, print, print_json, ps, publish,
-    run, soc, topics,
+    boot_demo, clock_view, dflash, exec, grandmaster, injection, print, ps, publish, run, soc,
+    topics,
 };
 use tandem_page::command_line;
 
@@ -58,9 +58,12 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         Command::BootDemo(args) if args.board != DemoBoard::Host => {
             become_program(Program::Lab, words)
         }
-        Command::BootDemo(args) => boot_demo::on_host()?.show(args.json).map_err(Failure::Run),
-        Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
-        Command::Scenarios(args) => scenarios(&args).map_err(Failure::Run),
+        Command::BootDemo(args) => {
+            let json_to = args.json.check().map_err(Failure::usage)?;
+            boot_demo::on_host()?.show(json_to).map_err(Failure::Run)
+        }
+        Command::Ps(args) => ps::run(&args),
+        Command::Scenarios(args) => scenarios(&args),
         Command::Publish => publish::run().map_err(Failure::Run),
         Command::Soc(args) => soc::run(&args),
         Command::Grandmaster(args) => grandmaster::run(&args),
@@ -79,15 +82,11 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
     }
 }
 
-fn scenarios(args: &ScenariosArgs) -> anyhow::Result<()> {
-    if args.json {
-        let all = tandem_vehicle::Scenario::descriptions();
-        let row = |(name, description)| json!({ "name": name, "description": description });
-        return print_json(&all.map(row).collect::<Vec<_>>());
-    }
-    let mut text = String::new();
-    for (name, description) in tandem_vehicle::Scenario::descriptions() {
-        text += &format!("{name:14}  {description}\n");
-    }
-    print(&text)
+fn scenarios(args: &ScenariosArgs) -> Result<(), Failure> {
+    let json_to = args.json.check().map_err(Failure::usage)?;
+    let all = tandem_vehicle::Scenario::descriptions;
+    let row = |(name, description)| json!({ "name": name, "description": description });
+    let rows: Vec<_> = all().map(row).collect();
+    let line = |(name, description)| format!("{name:14}  {description}\n");
+    Ok(print(&json_to.write(&rows, || all().map(line).collect())?)?)
 }

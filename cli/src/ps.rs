@@ -5,6 +5,7 @@ use tandem_board::SystemId;
 use tandem_board_host::process_list::{self, Process, ProcessKind};
 
 use crate::args::PsArgs;
+use crate::failure::Failure;
 
 /// A process in the output of `--json`.
 #[derive(Debug, Serialize)]
@@ -41,13 +42,12 @@ fn row(process: &Process) -> Row {
 /// Prints the processes.
 ///
 /// # Errors
-/// If stdout cannot be written.
-pub fn run(args: &PsArgs) -> anyhow::Result<()> {
+/// If stdout or the file cannot be written.
+pub fn run(args: &PsArgs) -> Result<(), Failure> {
+    let json_to = args.json.check().map_err(Failure::usage)?;
     let processes = process_list::list();
-    if args.json {
-        return crate::print_json(&processes.iter().map(row).collect::<Vec<Row>>());
-    }
-    crate::print(&table(&processes))
+    let rows: Vec<Row> = processes.iter().map(row).collect();
+    Ok(crate::print(&json_to.write(&rows, || table(&processes))?)?)
 }
 
 fn table(processes: &[Process]) -> String {

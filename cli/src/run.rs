@@ -13,6 +13,7 @@ use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
     CoreArgs, Ended, LaunchPlan, Launcher, Leftovers, Pinning, ProcessArgs, RunName, Schedule,
 };
+use tandem_page::json::JsonOutput;
 use tandem_processes::boot::{self, ProgramFlashes};
 use tandem_processes::files::RunFiles;
 use tandem_processes::open_bus::{OpenBus, OpenBusPlace};
@@ -99,7 +100,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     };
     conclude(
         args,
-        &checked,
+        checked,
         collected,
         &around,
         ended.interrupted,
@@ -112,6 +113,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 pub fn config_of(args: &RunArgs, profile: LimitProfile) -> RunConfig {
     RunConfig {
         scenario: args.scenario.clone(),
+        problem: args.problem,
         seed: args.seed,
         duration_s: args.duration,
         profile,
@@ -246,7 +248,7 @@ pub fn run_elsewhere(
     let collected = Collected::new(&checked.out, &files, &|| "the emulator ended".to_owned());
     let interrupted = ended == vehicle::DriveEnd::Stopped;
     let around = surroundings(&config, summary).with_soc(soc);
-    conclude(args, &checked, collected, &around, interrupted, updates)
+    conclude(args, checked, collected, &around, interrupted, updates)
 }
 
 /// Prints the results of the updates. Returns what they say against the run.
@@ -360,7 +362,7 @@ impl Surroundings {
 /// report covers the drive up to that time, if any.
 fn conclude(
     args: &RunArgs,
-    checked: &Checked,
+    checked: Checked,
     collected: anyhow::Result<Collected>,
     around: &Surroundings,
     interrupted: bool,
@@ -371,7 +373,7 @@ fn conclude(
         return Err(Failure::Interrupted);
     }
     let metrics = collected.and_then(|c| c.write(&checked.out, around))?;
-    print_summary(args, &checked.out, &metrics, &updates)?;
+    print_summary(args, checked.json_to, &checked.out, &metrics, &updates)?;
     if interrupted {
         return Err(Failure::DrivenUntil(metrics.duration_s));
     }
@@ -385,6 +387,7 @@ fn conclude(
 /// The checked arguments and the properties of the machine, before anything is started.
 struct Checked {
     out: ReportFolder,
+    json_to: JsonOutput,
     pinning: Pinning,
     cpus: Vec<usize>,
     /// The same CPUs, each with its index among those that this process may use.
@@ -403,7 +406,7 @@ impl Checked {
 
     fn new(args: &RunArgs) -> anyhow::Result<Self> {
         check_board(args)?;
-        check_scenario(&args.scenario)?;
+        check_scenario(args)?;
         let can = multicast(args);
         can.as_ref().map(OpenBus::join).transpose()?;
         let domain = args.network().map(topics::claim).transpose()?;
@@ -424,6 +427,7 @@ impl Checked {
         let dflash = args.dflash.as_deref().map(check_dflash).transpose()?;
         Ok(Self {
             out,
+            json_to: args.json.check()?,
             pinning,
             cpus,
             places,
@@ -454,14 +458,15 @@ pub fn check_board(args: &RunArgs) -> anyhow::Result<()> {
 }
 
 /// Checks that the vehicle's process can read the scenario.
-fn check_scenario(scenario: &str) -> anyhow::Result<()> {
+fn check_scenario(args: &RunArgs) -> anyhow::Result<()> {
+    let scenario = &*args.scenario;
     let path = Path::new(scenario);
     // A pipe can only be read once, and only by this process.
     let is_special = fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir());
     if is_special && !Scenario::names().any(|name| name == scenario) {
         bail!("--scenario {scenario}: it is no regular file; save it as one first");
     }
-    let loaded = Scenario::load(scenario)?;
+    let loaded = Scenario::load_problem(scenario, args.problem.into())?;
     if let Some(reason) = loaded.outside_domain() {
         bail!(
             "--scenario {scenario}: outside the operational design domain: {reason}; \
@@ -470,6 +475,9 @@ fn check_scenario(scenario: &str) -> anyhow::Result<()> {
     }
     for warning in loaded.warnings() {
         eprintln!("warning: {warning}");
+    }
+    if args.problem.is_some() && !args.quiet {
+        eprintln!("{scenario}: {} is driven", loaded.planning_problem());
     }
     fs::canonicalize(path).map_or(Ok(()), |path| outside_shared_memory("--scenario", &path))
 }
@@ -728,18 +736,17 @@ fn leftovers(found: &Leftovers) -> Vec<String> {
 /// Prints the summary of the run on the terminal.
 fn print_summary(
     args: &RunArgs,
+    json_to: JsonOutput,
     out: &ReportFolder,
     metrics: &Metrics,
     besides: &[String],
 ) -> anyhow::Result<()> {
     let report = out.path().join(output::REPORT);
-    if args.json {
-        return crate::print_json(metrics);
-    }
-    if args.quiet {
-        return Ok(());
-    }
-    crate::print(&summary::table(metrics, besides, &report))
+    let text = || match args.quiet {
+        true => String::new(),
+        false => summary::table(metrics, besides, &report),
+    };
+    crate::print(&json_to.write(metrics, text)?)
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use serde::Serialize;
 use tandem::args::{BootDemoArgs, GrandmasterArgs, RunArgs, SocArgs, TimeArgs};
 use tandem::board_kind::DemoBoard;
-use tandem_page::output::STDOUT;
+use tandem_page::json::JsonOption;
 
 use crate::boot_args::{BootloaderArgs, FlashArgs};
 use crate::chaos_args::ChaosArgs;
@@ -89,9 +89,9 @@ pub(crate) struct ThesisArgs {
     #[arg(long, value_enum, default_value_t = ThesisBoard::Host)]
     pub(crate) board: ThesisBoard,
 
-    /// Also write the figures to this file [without FILE: to stdout, instead of the table]
-    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
-    pub(crate) json: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub(crate) json: JsonOption,
 
     /// Draw the outputs of both systems over time into this file
     #[arg(long, value_name = "FILE")]
@@ -140,6 +140,15 @@ pub(crate) struct JudgeArgs {
     )]
     pub(crate) variants: Option<u32>,
 
+    /// Of one file with several planning problems: drive the one with this id [default: all]
+    #[arg(
+        long,
+        value_name = "ID",
+        allow_negative_numbers = true,
+        conflicts_with = "variants"
+    )]
+    pub(crate) problem: Option<i64>,
+
     /// How long to drive each scenario, in scenario time: 20, 20s, 1m
     #[arg(long, value_name = "TIME", default_value = "20s", value_parser = tandem::args::parse_duration)]
     pub(crate) duration: f64,
@@ -156,19 +165,20 @@ pub(crate) struct JudgeArgs {
     #[arg(long, value_name = "N")]
     pub(crate) jobs: Option<std::num::NonZero<usize>>,
 
-    /// Write all figures to this file [without FILE: to stdout, instead of the table]
-    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
-    pub(crate) json: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub(crate) json: JsonOption,
 
     /// Write an overview page with a picture of each drive to this file
     #[arg(long, value_name = "FILE")]
     pub(crate) html: Option<PathBuf>,
 
-    /// Write each drive as a CommonRoad solution to this folder: solution_NAME for the file NAME
+    /// Write each drive as a CommonRoad solution to this folder: solution_NAME for the file NAME,
+    /// and solution_STEM-ID.xml for each of several planning problems of a file STEM.xml
     #[arg(long, value_name = "DIR")]
     pub(crate) solutions: Option<PathBuf>,
 
-    /// Of one file: write the report of the drive to this folder, as for a run
+    /// Of one drive: write its report to this folder, as for a run
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 }
@@ -193,9 +203,9 @@ pub(crate) struct RtosDemoArgs {
     #[arg(long, value_name = "FILE")]
     pub(crate) firmware: Option<PathBuf>,
 
-    /// Print JSON: the times at which each output changed, instead of the pictures
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub(crate) json: JsonOption,
 
     /// Also write the pictures to this file
     #[arg(long, value_name = "FILE")]

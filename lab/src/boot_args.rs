@@ -7,6 +7,7 @@ use clap::Args;
 use tandem::args::parse_system;
 use tandem_board::SystemId;
 use tandem_boot_host::udp_bus::{GROUP, PORT, UdpBus};
+use tandem_page::json::JsonOption;
 
 const FLASH_EXAMPLES: &str = "\
 Examples:
@@ -33,9 +34,9 @@ pub(crate) struct FlashArgs {
     #[arg(long, conflicts_with = "file", requires = "to")]
     pub(crate) info: bool,
 
-    /// With --info: print JSON
-    #[arg(long, requires = "info")]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub(crate) json: JsonOption,
 
     /// Sign the file with this private key (Ed25519, DER)
     #[arg(long, value_name = "FILE")]
@@ -136,12 +137,12 @@ pub(crate) struct BootloaderArgs {
     #[arg(long)]
     pub(crate) monitor: bool,
 
-    /// Print JSON: what it would start
-    #[arg(long)]
-    pub(crate) json: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub(crate) json: JsonOption,
 
     /// Approve the image on trial, as the application does, and exit
-    #[arg(long)]
+    #[arg(long, conflicts_with = "json")]
     pub(crate) approve: bool,
 
     /// The bus

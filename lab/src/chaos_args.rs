@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use tandem::board_kind::DemoBoard;
-use tandem_page::output::STDOUT;
+use tandem_page::json::JsonOption;
 
 /// Arguments of `tandem chaos`.
 #[derive(Debug, Args)]
@@ -43,11 +43,9 @@ pub(crate) struct ChaosArgs {
     #[arg(long, value_name = "NUMBER", conflicts_with_all = ["from", "count", "every"])]
     pub(crate) only: Option<u64>,
 
-    /// Write {faults, violations, classes: [{name, n, detection_p99_ms, gap_p99_ms, gap_max_ms,
-    /// bound_ms, ...}]} to this file
-    /// [without FILE: to stdout, instead of the report]
-    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
-    pub(crate) json: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub(crate) json: JsonOption,
 
     /// Inject these faults in one drive and exit; internal, started by the campaign
     #[arg(long, hide = true, num_args = 2, value_names = ["FROM", "TO"])]

@@ -70,6 +70,7 @@ pub(crate) fn write_pages(args: &ManArgs) -> Result<(), Failure> {
 mod tests {
     use super::*;
     use tandem_page::command_line::EXIT_STATUS;
+    use tandem_page::json::JsonOption;
 
     /// Each help text, and with it each page, ends with the exit statuses, once.
     #[test]
@@ -86,6 +87,34 @@ mod tests {
             }
         }
         check(&mut whole(), "tandem");
+    }
+
+    /// `--json` is the same option wherever it is: FILE may be left out, and takes no argument.
+    #[test]
+    fn json_means_the_same_everywhere() {
+        fn check(command: &Command, path: &str, found: &mut u32) {
+            if let Some(json) = command
+                .get_arguments()
+                .find(|it| it.get_long() == Some("json"))
+            {
+                *found += 1;
+                let files = json.get_num_args().unwrap();
+                assert_eq!((files.min_values(), files.max_values()), (0, 1), "{path}");
+                assert!(json.is_require_equals_set(), "{path}");
+                let help = json.get_help().unwrap().to_string();
+                let shared = JsonOption::augment_args(Command::new("x"));
+                let shared = shared.get_arguments().next().unwrap();
+                assert_eq!(help, shared.get_help().unwrap().to_string(), "{path}");
+            }
+            for inner in command.get_subcommands() {
+                check(inner, &format!("{path} {}", inner.get_name()), found);
+            }
+        }
+        let mut found = 0;
+        let mut whole = whole();
+        whole.build();
+        check(&whole, "tandem", &mut found);
+        assert!(found >= 20, "{found}");
     }
 
     /// No command is left that only passes its arguments on.

@@ -14,7 +14,6 @@ use tandem_board_qemu::{
 };
 use tandem_boot::{Bank, FlashRegion, ImageTarget};
 use tandem_boot_host::{FlashFile, Image, ReleaseInfo, SigningKey, records};
-use tandem_vehicle::Scenario;
 
 use tandem::args::RunArgs;
 use tandem::board_kind::BoardKind;
@@ -228,7 +227,7 @@ fn drive(
         BoardKind::QemuOne => WorldLayout::One,
         BoardKind::Host | BoardKind::Qemu => WorldLayout::Two,
     };
-    let scenario = Scenario::load(&config.scenario)?;
+    let scenario = config.load_scenario()?;
     let folder = tempfile::tempdir().context("a folder for the program flashes")?;
     let (mut world, update) = images.start(layout, args, files, folder.path())?;
     let config = RunConfig {

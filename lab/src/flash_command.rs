@@ -19,6 +19,7 @@ use tandem_boot_host::{
     Content, FileSender, FlashFile, Image, ReleaseInfo, SigningKey, delta, records, send_file,
     serve,
 };
+use tandem_page::json::JsonOutput;
 use tandem_processes::boot::{PRIVATE_DER, key};
 
 /// The DER header of a public Ed25519 key (RFC 8410); its 32 bytes follow.
@@ -26,8 +27,13 @@ const PUBLIC_DER: [u8; 12] = *b"\x30\x2a\x30\x05\x06\x03\x2b\x65\x70\x03\x21\x00
 
 /// Sends a file, or only signs it, as the arguments request.
 pub(crate) fn run(args: &FlashArgs) -> Result<(), Failure> {
+    if args.json.is_given() && !args.info {
+        let what = anyhow!("--json is for --info: a download prints text alone");
+        return Err(Failure::Usage(what));
+    }
     let Some(file) = &args.file else {
-        return flash_info::run(args).map_err(Failure::Run);
+        let json_to = args.json.check().map_err(Failure::usage)?;
+        return flash_info::run(args, json_to).map_err(Failure::Run);
     };
     let lines = lines(args, file).map_err(Failure::Usage)?;
     if let Some(path) = &args.sign_only {
@@ -129,7 +135,15 @@ fn send(args: &FlashArgs, lines: Vec<String>) -> anyhow::Result<()> {
 }
 
 /// Runs a system's bootloader on its flash file, until it has decided which image to start.
-pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
+///
+/// # Errors
+/// [`Failure::Usage`] if the file of `--json` cannot be written; else [`Failure::Run`].
+pub(crate) fn bootloader(args: &BootloaderArgs) -> Result<(), Failure> {
+    let json_to = args.json.check().map_err(Failure::usage)?;
+    decide(args, json_to).map_err(Failure::Run)
+}
+
+fn decide(args: &BootloaderArgs, json_to: JsonOutput) -> anyhow::Result<()> {
     let name = args.flash.display();
     let mut flash = FlashFile::open(&args.flash).with_context(|| name.to_string())?;
     if args.approve {
@@ -166,8 +180,10 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
         let clock = Clock::now();
         let mut loader = Loader::start(&mut flash, setup, Instant::ORIGIN);
         match serve(&wire, clock, &mut loader)? {
-            Next::Jump(launch) if args.json => return tandem::print_json(&as_json(&launch)),
-            Next::Jump(launch) => return tandem::print(&shown(&launch)),
+            Next::Jump(launch) => {
+                let text = || shown(&launch);
+                return tandem::print(&json_to.write(&as_json(&launch), text)?);
+            }
             Next::StartBank(other) => setup.bank = other,
             _ => {
                 setup.cause = ResetCause::Software;

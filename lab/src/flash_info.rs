@@ -8,19 +8,16 @@ use tandem_boot::{
     Bank, FlashRegion, ImageTarget, LogEvent, Refusal, ReleaseStage, Selection, Slot, Trial,
 };
 use tandem_boot_host::{SystemInfo, ask};
+use tandem_page::json::JsonOutput;
 
 /// Asks the system, and prints what it holds.
-pub(crate) fn run(args: &FlashArgs) -> anyhow::Result<()> {
+pub(crate) fn run(args: &FlashArgs, json_to: JsonOutput) -> anyhow::Result<()> {
     let system = args.to.context("name the system with --to")?;
     let wire = args.bus.join()?;
     let within = Duration::from_ms(u64::from(args.wait) * 1_000);
     let info = ask(&wire, system, within)?;
-    if args.json {
-        let mut text = serde_json::to_string_pretty(&as_json(&info))?;
-        text.push('\n');
-        return tandem::print(&text);
-    }
-    tandem::print(&format!("system {system}\n{}", as_text(&info)))
+    let text = || format!("system {system}\n{}", as_text(&info));
+    tandem::print(&json_to.write(&as_json(&info), text)?)
 }
 
 /// The name of a place.

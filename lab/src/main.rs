@@ -44,7 +44,7 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Grandmaster(args) => grandmaster::run(&args),
         Command::Publish => publish::run().map_err(Failure::Run),
         Command::Flash(args) => flash_command::run(&args),
-        Command::Bootloader(args) => flash_command::bootloader(&args).map_err(Failure::Run),
+        Command::Bootloader(args) => flash_command::bootloader(&args),
         Command::CanLog(args) => can_log::run(&args),
         Command::Completions(args) => command_line::print_completions(&args),
         Command::Man(args) => command_line::write_pages(&args),
@@ -53,10 +53,11 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Chaos(args) => chaos::run(&args),
         Command::Thesis(args) => thesis::run(&args),
         Command::Time(args) => time::run(&args),
-        Command::RtosDemo(args) => rtos_demo::run(&args).map_err(Failure::Run),
+        Command::RtosDemo(args) => rtos_demo::run(&args),
         Command::BootDemo(args) => {
+            let json_to = args.json.check().map_err(Failure::usage)?;
             let shown = boot_demo::experiment(args.board, args.images.as_deref());
-            shown?.show(args.json).map_err(Failure::Run)
+            shown?.show(json_to).map_err(Failure::Run)
         }
     }
 }

@@ -4,7 +4,7 @@
 //! tasks record the time of each change, in this process or as firmware in an emulated machine.
 //! The picture is drawn from these records.
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Result, ensure};
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -18,6 +18,7 @@ use crate::args::RtosDemoArgs;
 use crate::emulated;
 use crate::square_waves::{self, SquareWaves, Trace};
 use tandem::board_kind::DemoBoard;
+use tandem::failure::Failure;
 
 /// Number of columns of a trace in the terminal.
 const COLUMNS: usize = 90;
@@ -83,16 +84,19 @@ impl From<&Picture> for PictureRow {
 }
 
 /// Runs both tests and prints the pictures. Also writes them to the file of `--svg`, if given.
-pub(crate) fn run(args: &RtosDemoArgs) -> Result<()> {
+///
+/// # Errors
+/// [`Failure::Usage`] if a file cannot be written, [`Failure::Run`] if a test cannot be run.
+pub(crate) fn run(args: &RtosDemoArgs) -> Result<(), Failure> {
+    let places = args.json.check_with([("--svg", args.svg.as_deref())]);
+    let (json_to, [svg_to]) = places.map_err(Failure::usage)?;
     let pictures = pictures(args.board, args.firmware.as_deref())?;
-    if let Some(path) = &args.svg {
-        std::fs::write(path, draw(&pictures)).with_context(|| path.display().to_string())?;
+    if let Some(place) = svg_to {
+        place.write(&draw(&pictures))?;
     }
-    if args.json {
-        let rows: Vec<PictureRow> = pictures.iter().map(PictureRow::from).collect();
-        return tandem::print_json(&rows);
-    }
-    tandem::print(&pictures.iter().map(show).collect::<String>())
+    let rows: Vec<PictureRow> = pictures.iter().map(PictureRow::from).collect();
+    let text = || pictures.iter().map(show).collect();
+    Ok(tandem::print(&json_to.write(&rows, text)?)?)
 }
 
 /// Runs both tests on this board. `firmware` is the image for the emulated board.

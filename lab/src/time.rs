@@ -8,7 +8,6 @@ use tandem::args::TimeArgs;
 use tandem::failure::Failure;
 use tandem_board::{Duration, Instant, SystemId};
 use tandem_cores::trace::Event;
-use tandem_page::output::OutputFile;
 use tandem_peripherals::network::PortFault;
 use tandem_sim::time_chain::{Chain, ChainConfig, Spread};
 
@@ -95,25 +94,18 @@ struct Deviations {
 /// [`Failure::Usage`] if the file cannot be written, [`Failure::Objections`] if a figure exceeds
 /// its bound.
 pub(crate) fn run(args: &TimeArgs) -> Result<(), Failure> {
-    let places = OutputFile::check_all([("--json", args.json.as_deref())]);
-    let [json_to] = places.map_err(Failure::usage)?;
+    let json_to = args.json.check().map_err(Failure::usage)?;
     let mut all = Deviations::default();
     for seed in args.seed..args.seed + SEEDS {
         all.measure(seed);
     }
     let rows = all.rows();
-    let is_quiet = json_to.as_ref().is_some_and(OutputFile::is_stdout);
-    if let Some(place) = json_to {
-        let json = Json {
-            board: "sim",
-            converged_s: &all.converged_s,
-            results: &rows,
-        };
-        place.write(&(serde_json::to_string_pretty(&json).map_err(anyhow::Error::from)? + "\n"))?;
-    }
-    if !is_quiet {
-        tandem::print(&table(&rows, &all.converged_s))?;
-    }
+    let json = Json {
+        board: "sim",
+        converged_s: &all.converged_s,
+        results: &rows,
+    };
+    tandem::print(&json_to.write(&json, || table(&rows, &all.converged_s))?)?;
     let beyond = rows.iter().filter(|row| !row.ok);
     let beyond: Vec<_> = beyond
         .map(|row| {

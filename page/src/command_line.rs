@@ -1,8 +1,11 @@
-//! What the command lines of all programs share: each help text ends with the exit statuses.
+//! What the command lines of all programs share: each help text ends with the exit statuses, and
+//! `--json` takes its file in the same way.
 
 use std::ffi::OsString;
 
 use clap::{Command, Parser};
+
+use crate::json;
 
 /// The exit statuses of all commands. Its lines have at most 100 columns.
 pub const EXIT_STATUS: &str = "\
@@ -14,8 +17,14 @@ started; 3 nothing was heard (topics, time); 130 ended by Ctrl-C.";
 /// the arguments request it or are wrong.
 pub fn parse<C: Parser>(words: impl IntoIterator<Item = OsString>) -> C {
     let mut command = with_exit_statuses(C::command());
-    let matches = command.try_get_matches_from_mut(words);
-    let matches = matches.unwrap_or_else(|error| error.exit());
+    let words = json::joined(words);
+    let matches = command.try_get_matches_from_mut(&words);
+    let matches = matches.unwrap_or_else(|error| {
+        if let Some(hint) = json::hint(&words).filter(|_| error.use_stderr()) {
+            eprintln!("{hint}");
+        }
+        error.exit()
+    });
     C::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command).exit())
 }
 

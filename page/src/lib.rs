@@ -2,13 +2,14 @@
 //! results.
 //!
 //! The report of a run and the benchmark share one template, one style and one set of charts. Their
-//! command lines share the text about exit statuses.
+//! command lines share the text about exit statuses, and the option `--json`.
 #![forbid(unsafe_code)]
 
 pub mod chart;
 pub mod command_line;
 pub mod format;
 pub mod hgrm;
+pub mod json;
 pub mod output;
 pub mod plot;
 pub mod svg;

@@ -6,11 +6,13 @@
 //! A run may get a private `/dev/shm`, where the caller's paths would name other files. So the
 //! place is opened at the check and stays open until the results are written.
 
-use rustix::fs::{AtFlags, Mode, OFlags, mkdirat, openat, unlinkat};
-use std::ffi::OsString;
+use rustix::fs::{AtFlags, Mode, OFlags, fchmod, mkdirat, openat, renameat, statat, unlinkat};
+use rustix::process::geteuid;
+use std::ffi::{OsStr, OsString};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
 use std::os::fd::OwnedFd;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 /// The path that stands for stdout.
@@ -70,7 +72,7 @@ enum Target {
     Stdout,
     /// The place exists and is open: a file, a folder, or a device such as a terminal.
     Present(File),
-    /// The place does not exist; the folder that will contain it is open.
+    /// The place does not exist, or is a file to replace; the folder that will contain it is open.
     Absent(File, OsString),
 }
 
@@ -86,9 +88,10 @@ impl OutputFile {
         let target = match fs::metadata(path) {
             _ if path == Path::new(STDOUT) => Ok(Target::Stdout),
             Ok(found) if found.is_dir() => Err("it is a folder; name a file".to_owned()),
-            Ok(_) => {
+            Ok(found) => {
                 let file = OpenOptions::new().write(true).open(path);
-                file.map(Target::Present).map_err(|error| error.to_string())
+                let file = file.map_err(|error| error.to_string());
+                file.map(|file| replaceable(path, &found).unwrap_or(Target::Present(file)))
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => absent(path),
             Err(error) => Err(error.to_string()),
@@ -118,7 +121,17 @@ impl OutputFile {
         matches!(self.0.target, Target::Stdout)
     }
 
-    /// Writes the file. A new file is never left half-written.
+    /// Returns the error of this place for this reason.
+    pub(crate) fn error(&self, why: &impl ToString) -> OutputError {
+        let Place { option, path, .. } = &self.0;
+        OutputError {
+            option,
+            path: path.clone(),
+            why: why.to_string(),
+        }
+    }
+
+    /// Writes the file as a whole: it is never left half-written, except for a device.
     ///
     /// # Errors
     /// [`OutputError`], such as a full disk.
@@ -173,7 +186,7 @@ impl OutputFolder {
 }
 
 /// Refuses two outputs that would go to the same file.
-fn distinct(places: &[&OutputFile]) -> Result<(), OutputError> {
+pub(crate) fn distinct(places: &[&OutputFile]) -> Result<(), OutputError> {
     for (i, place) in places.iter().enumerate() {
         let same = |other: &&&OutputFile| same(&other.0.path, &place.0.path);
         if let Some(other) = places[..i].iter().find(same) {
@@ -216,6 +229,21 @@ fn absent(path: &Path) -> Why {
     Ok(Target::Absent(open_folder(folder)?, name.to_owned()))
 }
 
+/// Returns a target that replaces this file, if it is an ordinary one with a name in a folder that
+/// can be written to. Symbolic links to it stay.
+fn replaceable(path: &Path, found: &fs::Metadata) -> Option<Target> {
+    let full = fs::canonicalize(path).ok().filter(|_| found.is_file())?;
+    // A path such as /dev/stdin leads to a file that may have no name any more.
+    let named = fs::metadata(&full).ok()?;
+    let is_same = (named.dev(), named.ino()) == (found.dev(), found.ino());
+    // Another name of the same file would keep the old content. In a folder such as /tmp only the
+    // owner can replace a file.
+    let is_own = found.nlink() == 1 && found.uid() == geteuid().as_raw();
+    let folder = open_folder(parent(&full)).ok()?;
+    (is_same && is_own)
+        .then(|| Target::Absent(folder, full.file_name().unwrap_or_default().to_owned()))
+}
+
 /// Opens a folder that can be written to. Only an attempt reveals missing permissions, read-only
 /// file systems and full disks, so this creates an unnamed file, which vanishes at once.
 fn open_folder(path: &Path) -> Result<File, String> {
@@ -238,14 +266,28 @@ fn overwrite(mut file: File, content: &[u8]) -> io::Result<()> {
     file.write_all(content)
 }
 
-fn create(folder: &File, name: &std::ffi::OsStr, content: &[u8]) -> io::Result<()> {
-    let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::TRUNC | OFlags::CLOEXEC;
-    let file: OwnedFd = openat(folder, name, flags, Mode::from_raw_mode(0o666))?;
-    let written = File::from(file).write_all(content);
+/// Writes a file under another name first: a reader sees the whole file, or the old one.
+fn create(folder: &File, name: &OsStr, content: &[u8]) -> io::Result<()> {
+    let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::CLOEXEC;
+    let mut other = OsString::from(format!(".tandem-{}-", std::process::id()));
+    other.push(name);
+    let file: OwnedFd = openat(folder, &other, flags, Mode::from_raw_mode(0o666))?;
+    let file = File::from(file);
+    let written = keep_mode(folder, name, &file)
+        .and_then(|()| (&file).write_all(content))
+        .and_then(|()| Ok(renameat(folder, &other, folder, name)?));
     written.inspect_err(|_| {
         // The caller gets the write error, so an error of this removal is ignored.
-        let _ = unlinkat(folder, name, AtFlags::empty());
+        let _ = unlinkat(folder, &other, AtFlags::empty());
     })
+}
+
+/// Gives a file the permissions of the one that it replaces, if there is one.
+fn keep_mode(folder: &File, name: &OsStr, file: &File) -> io::Result<()> {
+    match statat(folder, name, AtFlags::empty()) {
+        Ok(old) => Ok(fchmod(file, Mode::from_raw_mode(old.st_mode & 0o777))?),
+        Err(_) => Ok(()),
+    }
 }
 
 #[cfg(test)]
@@ -282,6 +324,26 @@ mod tests {
                 .unwrap();
             assert_eq!(fs::read_to_string(&path).unwrap(), text);
         }
+    }
+
+    /// A write that fails leaves the old content, and nothing beside it.
+    #[test]
+    fn what_fails_changes_nothing() {
+        let root = tempfile::tempdir().unwrap();
+        let path = root.path().join("a.json");
+        let link = root.path().join("link");
+        fs::write(&path, "old").unwrap();
+        std::os::unix::fs::symlink(&path, &link).unwrap();
+        let place = OutputFile::check("--json", &link).unwrap();
+        place.write("new").unwrap();
+        assert!(link.is_symlink());
+        assert_eq!(fs::read_to_string(&path).unwrap(), "new");
+        let place = OutputFile::check("--json", &path).unwrap();
+        // Nothing can replace a folder that holds something by a file.
+        fs::remove_file(&path).unwrap();
+        fs::create_dir_all(path.join("inner")).unwrap();
+        assert!(place.write("newer").is_err());
+        assert_eq!(names(root.path()), ["a.json", "link"]);
     }
 
     #[test]

@@ -8,17 +8,21 @@ use crate::fixture::{Fixture, refuses};
 #[test]
 fn a_result_that_cannot_be_written() {
     let fixture = Fixture::new();
-    for command in [
-        &["sim", "--seeds", "1000000", "--json"][..],
-        &["sim", "--only", "random:1", "--save"],
-        &["thesis", "--board", "sim", "--json"],
-        &["thesis", "--board", "sim", "--svg"],
+    for (command, option) in [
+        (&["sim", "--seeds", "1000000"][..], "--json"),
+        (&["sim", "--only", "random:1"], "--save"),
+        (&["thesis", "--board", "sim"], "--json"),
+        (&["thesis", "--board", "sim"], "--svg"),
+        (&["rtos-demo"], "--json"),
+        (&["boot-demo"], "--json"),
+        (&["judge", "--variants", "1"], "--json"),
     ] {
-        refuses(&fixture, &[command, &["."]].concat(), &["it is a folder"]);
-        let missing = &[command, &["no/such/file"]].concat();
-        refuses(&fixture, missing, &["create it first"]);
+        for (place, why) in [(".", "it is a folder"), ("no/such/file", "create it first")] {
+            let place = format!("{option}={place}");
+            refuses(&fixture, &[command, &[&place]].concat(), &[why]);
+        }
     }
-    let twice = ["thesis", "--board", "sim", "--json", "x", "--svg", "x"];
+    let twice = ["thesis", "--board", "sim", "--json=x", "--svg", "x"];
     refuses(&fixture, &twice, &["the same file"]);
 }
 
@@ -54,6 +58,16 @@ fn a_campaign_that_cannot_be() {
         (&["chaos", "--matrix", "--only", "99999"], "no cell 99999"),
         (&["chaos", "--count", "0"], "no fault"),
         (&["chaos", "--json", "no/such/c.json"], "no/such"),
+        (
+            &["judge", "--variants", "1", "DIR", "--json"],
+            "leave out --json",
+        ),
+        (
+            &["sim", "--only", "random:1", "--json"],
+            "cannot be used with",
+        ),
+        (&["judge", "DIR", "--json", "out"], "write --json=out"),
+        (&["flash", "--json", "x.srec"], "--json is for --info"),
         (
             &["sim", "--faults", "supply.toml"],
             "the simulator cannot suffer it",

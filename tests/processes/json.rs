@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use tandem_page::command_line::EXIT_STATUS;
 
-use crate::fixture::Fixture;
+use crate::fixture::{Fixture, refuses};
 use crate::place::own_place;
 use crate::schema::{fits, lines_fit};
 
@@ -30,6 +30,17 @@ fn documents_without_a_run_fit_their_schemas() {
         fits("dflash", &printed(&fixture, &["dflash", command, "--json"]));
     }
     fits("boot-demo", &printed(&fixture, &["boot-demo", "--json"]));
+    // With FILE the document goes there, and the text stays.
+    for (words, schema) in [
+        (&["scenarios"][..], "scenarios"),
+        (&["ps"], "ps"),
+        (&["dflash", "show"], "dflash"),
+    ] {
+        let text = printed(&fixture, words);
+        let with_file = [words, &["--json=x"]].concat();
+        assert_eq!(printed(&fixture, &with_file), text, "{words:?}");
+        fits(schema, &fs::read(fixture.folder().join("x")).unwrap());
+    }
 }
 
 /// A run, and the commands that look at it.
@@ -59,6 +70,45 @@ fn documents_of_a_run_fit_their_schemas() {
     fits("run", &fs::read(report).unwrap());
 }
 
+/// A run drives the planning problem that it is told, and its report says which.
+#[test]
+fn a_run_says_which_planning_problem_it_drives() {
+    let fixture = Fixture::new();
+    let good = include_str!("../../vehicle/fixtures/commonroad/sign-2020a.xml");
+    let (_, problem) = good.split_once("<planningProblem id=\"20\">").unwrap();
+    let (problem, _) = problem.split_once("</planningProblem>").unwrap();
+    let slow = problem.replacen("<exact>12<", "<exact>6<", 1);
+    let slow = format!("<planningProblem id=\"22\">{slow}</planningProblem></commonRoad>");
+    let two = good.replace("</commonRoad>", &slow);
+    fs::write(fixture.folder().join("two.xml"), two).unwrap();
+    let words = [
+        "run",
+        "--scenario",
+        "two.xml",
+        "--duration",
+        "1",
+        "--problem",
+    ];
+    let output = fixture.output(&[&words[..], &["22", "--json=r.json"]].concat());
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        said.contains("two.xml: planning problem 22 (2 of 2) is driven"),
+        "{said}"
+    );
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.contains("planning problem 22 (2 of 2)"), "{text}");
+    let figures = fs::read(fixture.folder().join("r.json")).unwrap();
+    fits("run", &figures);
+    let figures: Value = serde_json::from_slice(&figures).unwrap();
+    let distance_m = figures["distance_m"].as_f64().unwrap();
+    assert!((4.0..9.0).contains(&distance_m), "{distance_m}");
+    refuses(
+        &fixture,
+        &[&words[..], &["7"]].concat(),
+        &["choose one of 20, 22"],
+    );
+}
+
 /// Processes of a manifest.
 #[test]
 fn documents_of_a_manifest_fit_their_schemas() {
@@ -76,10 +126,38 @@ fn documents_of_a_manifest_fit_their_schemas() {
     fits("exec-sign", &printed(&fixture, &sign));
     let check = ["exec", "check", "m.toml", "--json"];
     fits("exec-check", &printed(&fixture, &check));
-    let mut command = fixture.command(&["exec", "run", "m.toml", "--json"]);
+    // The word behind the option is the manifest, and never written.
+    let mut command = fixture.command(&["exec", "run", "--json", "m.toml"]);
     let launcher = command.stdout(Stdio::piped()).spawn().unwrap();
+    let ps = reached(&fixture);
+    fits("exec-ps", &ps);
+    crate::fixture::send(launcher.id() as i32, rustix::process::Signal::INT);
+    let output = launcher.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130));
+    lines_fit("exec-run", &output.stdout);
+    assert_eq!(
+        fs::read_to_string(fixture.folder().join("m.toml")).unwrap(),
+        manifest
+    );
+    let mut command = fixture.command(&["exec", "run", "m.toml", "--json", "events.json"]);
+    let launcher = command.stdout(Stdio::piped()).spawn().unwrap();
+    reached(&fixture);
+    crate::fixture::send(launcher.id() as i32, rustix::process::Signal::INT);
+    let output = launcher.wait_with_output().unwrap();
+    assert!(
+        serde_json::from_slice::<Value>(&output.stdout).is_err(),
+        "{output:?}"
+    );
+    lines_fit(
+        "exec-run",
+        &fs::read(fixture.folder().join("events.json")).unwrap(),
+    );
+}
+
+/// Returns the document of the processes once all of them are ready.
+fn reached(fixture: &Fixture) -> Vec<u8> {
     let begin = Instant::now();
-    let ps = loop {
+    loop {
         assert!(begin.elapsed() < Duration::from_secs(60), "never reached");
         let output = fixture.output(&["exec", "ps", "m.toml", "--json"]);
         let state: Option<Value> = serde_json::from_slice(&output.stdout).ok();
@@ -87,12 +165,7 @@ fn documents_of_a_manifest_fit_their_schemas() {
             break output.stdout;
         }
         std::thread::sleep(Duration::from_millis(50));
-    };
-    fits("exec-ps", &ps);
-    crate::fixture::send(launcher.id() as i32, rustix::process::Signal::INT);
-    let output = launcher.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(130));
-    lines_fit("exec-run", &output.stdout);
+    }
 }
 
 /// A command that fails prints nothing to stdout: the reason is on stderr.
@@ -101,6 +174,8 @@ fn an_error_is_no_document() {
     let fixture = Fixture::new();
     for words in [
         &["run", "--json", "--scenario", "none"][..],
+        &["run", "--json", "x.json", "--scenario", "none"],
+        &["time", "none", "--json=x.json"],
         &["time", "none", "--json"],
         &["dflash", "show", "--json", "--folder", "none"],
         &["exec", "ps", "none.toml", "--json"],
@@ -109,6 +184,7 @@ fn an_error_is_no_document() {
         assert!(!output.status.success(), "{words:?}");
         assert!(output.stdout.is_empty(), "{words:?}");
         assert!(!output.stderr.is_empty(), "{words:?}");
+        assert!(!fixture.folder().join("x.json").exists(), "{words:?}");
     }
 }
 

@@ -17,8 +17,11 @@ use crate::error::ScenarioError;
 use crate::geometry::{Vec2, wrap_angle};
 
 mod goal;
+mod problem;
+mod users;
 
 pub use goal::{Area, Goal, Nearest};
+pub use problem::{PlanningProblem, ProblemChoice, problem_ids};
 /// Kind of an obstacle.
 pub use tandem_bus::ClassCode as Class;
 
@@ -42,17 +45,6 @@ const NUMBER_MAX: f64 = 1e8;
 const LANELET_MAX: f64 = 1e5;
 /// Highest accepted speed of a vehicle, m/s.
 const SPEED_MAX: f64 = 150.0;
-/// Types of lanelets that cars must not drive on, and the users whose lanelets they may use.
-const NOT_FOR_CARS: [&str; 7] = [
-    "sidewalk",
-    "crosswalk",
-    "bicycleLane",
-    "busLane",
-    "shoulder",
-    "border",
-    "restricted",
-];
-const FOR_CARS: [&str; 2] = ["vehicle", "car"];
 /// Limits of the time step, s.
 const STEP_RANGE: core::ops::RangeInclusive<f64> = 1e-3..=60.0;
 /// Latest accepted time, s: a day.
@@ -83,6 +75,8 @@ pub struct Lanelet {
     pub speed_limit: Option<f64>,
     /// Cars must not drive here: by its type, or because it is for other users only.
     pub is_refused: bool,
+    /// Persons cross other lanes here: a zebra.
+    pub is_crosswalk: bool,
 }
 
 /// A place at one time.
@@ -115,21 +109,6 @@ pub struct Obstacle {
     pub states: Vec<TimedState>,
 }
 
-/// What a solution of a file's first planning problem must repeat of it.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PlanningProblem {
-    /// Its id; `None` if the file gives none.
-    pub id: Option<i64>,
-    /// `commonRoadVersion` of the file.
-    pub version: String,
-    /// The ego's heading at the start as the file has it, rad: not wrapped.
-    pub yaw: f64,
-    /// The step at which the ego starts.
-    pub first_step: i64,
-    /// Time between two steps, s.
-    pub step_s: f64,
-}
-
 /// The content of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoadMap {
@@ -139,13 +118,13 @@ pub struct RoadMap {
     pub lanelets: Vec<Lanelet>,
     /// All road users except the ego.
     pub obstacles: Vec<Obstacle>,
-    /// Where the ego starts, from the first planning problem, at t = 0.
+    /// Where the ego starts, from the chosen planning problem, at t = 0.
     pub ego: TimedState,
-    /// Goals of the first planning problem; the ego must reach one of them. May be empty.
+    /// Goals of that planning problem; the ego must reach one of them. May be empty.
     pub goals: Vec<Goal>,
     /// Time between two steps of the file, s.
     pub step_s: f64,
-    /// What a solution must repeat.
+    /// Which planning problem it is.
     pub problem: PlanningProblem,
     /// Parts of the file that are not used, with reasons.
     pub warnings: Vec<String>,
@@ -160,11 +139,29 @@ struct Shape {
     centre: Vec2,
 }
 
-/// Reads the text of a CommonRoad file; errors name `file`.
+/// Reads the text of a CommonRoad file with its first planning problem; errors name `file`.
 ///
 /// # Errors
 /// The error names the file, the line, the element, and what to do.
 pub fn parse(text: &str, file: &str) -> Result<RoadMap> {
+    parse_problem(text, file, ProblemChoice::First)
+}
+
+/// Reads the text of a CommonRoad file with this planning problem; errors name `file`.
+///
+/// # Errors
+/// As [`parse`]; also if the file has no such planning problem.
+pub fn parse_problem(text: &str, file: &str, choice: ProblemChoice) -> Result<RoadMap> {
+    Reader {
+        document: &document(text, file)?,
+        file,
+        warnings: RefCell::default(),
+    }
+    .map(choice)
+}
+
+/// Reads the elements of a file, within the limits of a file.
+fn document<'a>(text: &'a str, file: &str) -> Result<Document<'a>> {
     let refused = |line, problem: String| ScenarioError::Xml {
         file: file.to_owned(),
         line,
@@ -184,14 +181,8 @@ pub fn parse(text: &str, file: &str) -> Result<RoadMap> {
         nodes_limit: NODES_MAX,
         ..ParsingOptions::default()
     };
-    let document = Document::parse_with_options(text, options)
-        .map_err(|error| refused(error.pos().row, error.to_string()))?;
-    Reader {
-        document: &document,
-        file,
-        warnings: RefCell::default(),
-    }
-    .map()
+    Document::parse_with_options(text, options)
+        .map_err(|error| refused(error.pos().row, error.to_string()))
 }
 
 /// Returns the line of the first tag with more than [`ATTRIBUTES_MAX`] attributes.
@@ -229,7 +220,7 @@ struct Reader<'a, 'input> {
 type Element<'a, 'input> = Node<'a, 'input>;
 
 impl<'a, 'input> Reader<'a, 'input> {
-    fn map(&self) -> Result<RoadMap> {
+    fn map(&self, choice: ProblemChoice) -> Result<RoadMap> {
         let root = self.document.root_element();
         if root.tag_name().name() != "commonRoad" {
             return Err(self.error(
@@ -262,10 +253,7 @@ impl<'a, 'input> Reader<'a, 'input> {
                 "add the lanes that the ego drives on",
             ));
         }
-        let problem = self.child(root, "planningProblem")?;
-        for other in elements(root, "planningProblem").skip(1) {
-            self.warn(other, "is not the first one: only the first is driven");
-        }
+        let (problem, number, count) = self.problem(root, choice)?;
         let start = self.child(problem, "initialState")?;
         let ego = self.state(start, step_s, None)?;
         if ego.speed.is_some_and(|speed| speed < 0.0) {
@@ -277,6 +265,8 @@ impl<'a, 'input> Reader<'a, 'input> {
         let goals = self.goals(problem, step_s, ego.t, &lanelets);
         let problem = PlanningProblem {
             id: self.id(problem, "id").ok(),
+            number,
+            count,
             version: version.to_owned(),
             yaw: self.value(self.child(start, "orientation")?)?,
             first_step: (ego.t / step_s).round() as i64,
@@ -327,10 +317,15 @@ impl<'a, 'input> Reader<'a, 'input> {
 
     /// Records that a part of the file is not used.
     fn warn(&self, node: Element<'_, '_>, problem: &str) {
+        self.note(node, problem, "it is left out");
+    }
+
+    /// Records what the user should know about a part of the file.
+    fn note(&self, node: Element<'_, '_>, problem: &str, advice: &str) {
         let (kept, count) = &mut *self.warnings.borrow_mut();
         *count += 1;
         if *count <= WARNINGS_MAX {
-            kept.push(self.error(node, problem, "it is left out").to_string());
+            kept.push(self.error(node, problem, advice).to_string());
         }
     }
 
@@ -424,19 +419,8 @@ impl<'a, 'input> Reader<'a, 'input> {
             right_neighbour: neighbour("adjacentRight")?,
             speed_limit: own.or(signed).filter(|limit| *limit > 0.0),
             is_refused: self.is_refused(node),
+            is_crosswalk: self.is_crosswalk(node),
         }))
-    }
-
-    /// Returns whether a lanelet is not for cars in its direction.
-    fn is_refused(&self, node: Element<'_, '_>) -> bool {
-        let named =
-            |name, names: &[&str]| elements(node, name).any(|it| names.contains(&self.text(it)));
-        let users = ["userOneWay", "userBidirectional"];
-        let is_told = users
-            .iter()
-            .any(|name| elements(node, name).next().is_some());
-        let for_cars = users.iter().any(|name| named(name, &FOR_CARS));
-        named("laneletType", &NOT_FOR_CARS) || is_told && !for_cars
     }
 
     fn obstacle(&self, node: Element<'_, '_>, is_static: bool, step_s: f64) -> Result<Obstacle> {

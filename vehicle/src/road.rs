@@ -67,6 +67,10 @@ pub struct Section {
     pub speed_limit: f64,
     /// Cars must not drive here.
     pub is_refused: bool,
+    /// Persons cross other lanes here: for these it is no lane.
+    pub(crate) is_crosswalk: bool,
+    /// Id of its lanelet in the file.
+    pub(crate) lanelet: i64,
     /// The bend of the map that smoothing hides here, 1/m; 0 if it hides none.
     pub(crate) hidden_bend: f64,
 }
@@ -301,6 +305,7 @@ impl Road {
                 && (point - at.centre).norm() < width
                 && lane.exists_at(place.s)
                 && wrap_angle(at.heading - yaw).abs() > 2.0
+                && !lane.at(place.s).is_crosswalk
         })
     }
 
@@ -426,6 +431,8 @@ fn lane(
                 right: lane_of(lanelet.right_neighbour),
                 speed_limit: lanelet.speed_limit.unwrap_or(f64::INFINITY),
                 is_refused: lanelet.is_refused,
+                is_crosswalk: lanelet.is_crosswalk,
+                lanelet: lanelet.id,
                 hidden_bend: hidden_bend(index),
             }
         })
@@ -569,6 +576,7 @@ mod tests {
             right_neighbour: None,
             speed_limit: None,
             is_refused: false,
+            is_crosswalk: false,
         }
     }
 

@@ -266,6 +266,7 @@ mod tests {
             right_neighbour: None,
             speed_limit: None,
             is_refused: false,
+            is_crosswalk: false,
         };
         let mut lanelets = vec![
             lanelet(1, 0.0, 0.0, 200.0, [&[], &[2]], None),

@@ -4,7 +4,7 @@ use std::io::Read as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::commonroad::{self, Goal, Obstacle, PlanningProblem, RoadMap};
+use crate::commonroad::{self, Goal, Obstacle, PlanningProblem, ProblemChoice, RoadMap};
 use crate::error::ScenarioError;
 use crate::geometry::{Footprint, Pose};
 use crate::plant::BMW_320I;
@@ -94,11 +94,19 @@ impl Scenario {
     /// # Errors
     /// Neither exists, or the file cannot be read or understood.
     pub fn load(name_or_path: &str) -> Result<Self, ScenarioError> {
+        Self::load_problem(name_or_path, ProblemChoice::First)
+    }
+
+    /// The same with another planning problem than the first.
+    ///
+    /// # Errors
+    /// As [`Scenario::load`]; also if there is no such planning problem.
+    pub fn load_problem(name_or_path: &str, choice: ProblemChoice) -> Result<Self, ScenarioError> {
         if let Some((name, _, text)) = EMBEDDED.iter().find(|(name, ..)| *name == name_or_path) {
             let file = format!("embedded scenario {name}");
             let map = RoadMap {
                 name: (*name).to_owned(),
-                ..commonroad::parse(text, &file)?
+                ..commonroad::parse_problem(text, &file, choice)?
             };
             return Self::new(map, file);
         }
@@ -111,7 +119,7 @@ impl Scenario {
                 names: Self::names().collect(),
             });
         }
-        Self::read(path)
+        Self::read_problem(path, choice)
     }
 
     /// The scenario in the CommonRoad file with this path.
@@ -119,14 +127,29 @@ impl Scenario {
     /// # Errors
     /// The file cannot be read or understood.
     pub fn read(path: &Path) -> Result<Self, ScenarioError> {
+        Self::read_problem(path, ProblemChoice::First)
+    }
+
+    /// The same with another planning problem than the first.
+    ///
+    /// # Errors
+    /// As [`Scenario::read`]; also if there is no such planning problem.
+    pub fn read_problem(path: &Path, choice: ProblemChoice) -> Result<Self, ScenarioError> {
         let file = path.display().to_string();
         match read_limited(path) {
-            Ok(text) => Self::parse(&text, &file),
+            Ok(text) => Self::new(commonroad::parse_problem(&text, &file, choice)?, file),
             Err(problem) => {
                 let problem = problem.to_string();
                 Err(ScenarioError::Read { file, problem })
             }
         }
+    }
+
+    /// Returns the id of each planning problem in the file with this path, `None` for one without
+    /// an id; nothing if the file cannot be read.
+    #[must_use]
+    pub fn problem_ids(path: &Path) -> Vec<Option<i64>> {
+        read_limited(path).map_or(vec![], |text| commonroad::problem_ids(&text))
     }
 
     /// The scenario in the text of a CommonRoad file; `file` is named in errors.
@@ -210,7 +233,16 @@ impl Scenario {
         &self.goals
     }
 
-    /// Returns what a solution of the file must repeat of it.
+    /// Returns its name, and which planning problem of the file it is if there are several.
+    #[must_use]
+    pub fn title(&self) -> String {
+        match self.problem.count {
+            0 | 1 => self.name.clone(),
+            _ => format!("{}, {}", self.name, self.problem),
+        }
+    }
+
+    /// Returns which planning problem it is, and what a solution must repeat of it.
     #[must_use]
     pub fn planning_problem(&self) -> &PlanningProblem {
         &self.problem

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use tandem_vehicle::commonroad::{self, Class, RoadMap};
+use tandem_vehicle::commonroad::{self, Class, ProblemChoice, RoadMap};
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::{Scenario, ScenarioError};
 
@@ -224,7 +224,7 @@ fn what_cannot_be_used_is_left_out_with_a_warning() {
         (
             "</commonRoad>",
             "<planningProblem id=\"21\"/></commonRoad>",
-            "<planningProblem id=\"21\"> is not the first one",
+            "is driven, the first of 2; --problem ID chooses another one",
         ),
     ];
     for (good, bad, expected) in cases {
@@ -239,6 +239,95 @@ fn what_cannot_be_used_is_left_out_with_a_warning() {
         assert_eq!(used.lanelets.len(), map(AREAS).lanelets.len());
     }
     assert!(map(AREAS).warnings.is_empty() && map(SIGN).warnings.is_empty());
+}
+
+/// Each planning problem of a file can be driven: by its place, or by its id. Without a choice the
+/// first one is, and the warning says so.
+#[test]
+fn a_planning_problem_is_chosen() {
+    let (first, rest) = SIGN.split_once("<planningProblem id=\"20\">").unwrap();
+    let (problem, end) = rest.split_once("</planningProblem>").unwrap();
+    let further = problem.replacen("<exact>12<", "<exact>9<", 1);
+    let no_id = problem.replacen("<exact>12<", "<exact>7<", 1);
+    let text = format!(
+        "{first}<planningProblem id=\"20\">{problem}</planningProblem><planningProblem \
+         id=\"-3\">{further}</planningProblem><planningProblem>{no_id}</planningProblem>{end}"
+    );
+    assert_eq!(commonroad::problem_ids(&text), [Some(20), Some(-3), None]);
+    assert!(commonroad::problem_ids("<broken").is_empty());
+    let chosen = |choice| commonroad::parse_problem(&text, "test.xml", choice);
+    for (choice, speed, name) in [
+        (ProblemChoice::First, 12.0, "planning problem 20 (1 of 3)"),
+        (ProblemChoice::Id(20), 12.0, "planning problem 20 (1 of 3)"),
+        (ProblemChoice::Id(-3), 9.0, "planning problem -3 (2 of 3)"),
+        (
+            ProblemChoice::Number(2),
+            9.0,
+            "planning problem -3 (2 of 3)",
+        ),
+        (
+            ProblemChoice::Number(3),
+            7.0,
+            "planning problem 3 of 3, without an id",
+        ),
+    ] {
+        let map = chosen(choice).unwrap();
+        assert_eq!(map.ego.speed, Some(speed), "{choice:?}");
+        assert_eq!(map.problem.to_string(), name);
+        assert_eq!(
+            map.warnings.len(),
+            usize::from(choice == ProblemChoice::First)
+        );
+    }
+    for choice in [
+        ProblemChoice::Id(7),
+        ProblemChoice::Number(0),
+        ProblemChoice::Number(4),
+    ] {
+        let error = chosen(choice).unwrap_err().to_string();
+        assert!(error.contains("choose one of 20, -3"), "{error}");
+    }
+    let many = "<planningProblem id=\"4\"/>".repeat(200);
+    let many = text.replace("</commonRoad>", &format!("{many}</commonRoad>"));
+    assert!(commonroad::parse(&many, "test.xml").is_err());
+}
+
+/// A zebra across the lane is no junction, and anything else across it is one that is named.
+#[test]
+fn a_zebra_across_the_lane_is_no_junction() {
+    let lanelet = |id: u32, [left, right]: [[(f64, f64); 2]; 2], rest: &str| {
+        let bound = |name: &str, points: [(f64, f64); 2]| {
+            let point = |(x, y)| format!("<point><x>{x}</x><y>{y}</y></point>");
+            format!("<{name}>{}</{name}>", points.map(point).concat())
+        };
+        let bounds = bound("leftBound", left) + &bound("rightBound", right);
+        format!("<lanelet id=\"{id}\">{bounds}{rest}</lanelet>")
+    };
+    let own = [
+        [(-50.0, 1.75), (400.0, 1.75)],
+        [(-50.0, -1.75), (400.0, -1.75)],
+    ];
+    let across = [[(60.0, -8.0), (60.0, 8.0)], [(63.0, -8.0), (63.0, 8.0)]];
+    for (kind, reason) in [
+        ("crosswalk", None),
+        (
+            "sidewalk",
+            Some("a junction (lanelet 2 at 90° to the lane) 60 m ahead of the start"),
+        ),
+    ] {
+        let kind = format!("<laneletType>{kind}</laneletType>");
+        let xml = format!(
+            "<commonRoad commonRoadVersion=\"2020a\" timeStepSize=\"0.1\" benchmarkID=\"zebra\">{}{}\
+             <planningProblem id=\"9\"><initialState><position><point><x>0</x><y>0</y></point>\
+             </position><orientation><exact>0</exact></orientation><time><exact>0</exact></time>\
+             <velocity><exact>20</exact></velocity></initialState></planningProblem></commonRoad>",
+            lanelet(1, own, ""),
+            lanelet(2, across, &kind),
+        );
+        let scenario = Scenario::parse(&xml, "zebra").unwrap();
+        assert_eq!(scenario.outside_domain(), reason, "{kind}");
+        assert!(scenario.warnings().is_empty(), "{:?}", scenario.warnings());
+    }
 }
 
 /// Small files that could take long to read are refused with the reason, or read quickly: no case

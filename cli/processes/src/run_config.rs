@@ -12,6 +12,7 @@ use tandem_board::SystemId;
 use tandem_board_host::Alarm;
 use tandem_record::verdict::Limits;
 use tandem_redundancy::Budget;
+use tandem_vehicle::{Scenario, ScenarioError};
 
 use crate::boot::ProgramFlashes;
 use crate::files::RunFiles;
@@ -43,6 +44,8 @@ impl LimitProfile {
 pub struct RunConfig {
     /// Name or path of the scenario.
     pub scenario: String,
+    /// Id of its planning problem; `None` selects the first one.
+    pub problem: Option<i64>,
     /// Seed of the sensors' noise.
     pub seed: u64,
     /// Scenario time to drive, s.
@@ -153,6 +156,14 @@ pub fn write_lines(path: &Path, lines: &[String]) -> anyhow::Result<()> {
 }
 
 impl RunConfig {
+    /// Loads the scenario with its planning problem.
+    ///
+    /// # Errors
+    /// If there is no such scenario or problem, or it cannot be understood.
+    pub fn load_scenario(&self) -> Result<Scenario, ScenarioError> {
+        Scenario::load_problem(&self.scenario, self.problem.into())
+    }
+
     /// Returns the budget from which the time limits follow.
     pub fn budget(&self) -> Budget {
         let budget = match self.profile {
@@ -221,6 +232,7 @@ mod tests {
     fn a_configuration_survives_the_command_line() {
         let config = RunConfig {
             scenario: "/tmp/a \"b\".xml".into(),
+            problem: Some(-7),
             seed: u64::MAX,
             duration_s: 0.5,
             profile: LimitProfile::Desktop,

@@ -34,7 +34,7 @@ const GIVE_UP_TICKS: u64 = 15_000;
 /// # Errors
 /// If the scenario cannot be loaded, the run has ended, or its recording cannot be written.
 pub fn run(args: &VehicleArgs, run: &RunConfig) -> anyhow::Result<bool> {
-    let scenario = Scenario::load(&run.scenario)?;
+    let scenario = run.load_scenario()?;
     let recorder = Recorder::create(&RunFiles::of(&args.common.run))?;
     // Start the recorder first, because its thread must not inherit this thread's priority.
     let _ = args.claim();
@@ -106,7 +106,7 @@ where
             .duration_since(UNIX_EPOCH)
             .unwrap_or_default();
         recorder.record(VehicleRecord::Header(Header {
-            scenario: scenario.name().to_owned(),
+            scenario: scenario.title(),
             seed: run.seed,
             duration_s: run.duration_s,
             epoch_us: (today.as_micros() as u64).saturating_sub(now_us),

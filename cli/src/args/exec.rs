@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
+use tandem_page::json::JsonOption;
 
 use crate::exec_sign::SignArgs;
 
@@ -80,9 +81,9 @@ pub struct ManifestArgs {
     #[arg(long, value_name = "FILE")]
     pub anchor: Option<PathBuf>,
 
-    /// Print JSON: one object, or one a line for each event
-    #[arg(long)]
-    pub json: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub json: JsonOption,
 }
 
 /// Arguments of `tandem exec run`.

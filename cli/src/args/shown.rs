@@ -4,6 +4,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use tandem_page::json::JsonOption;
 
 use super::RunChoice;
 
@@ -62,9 +63,9 @@ pub struct WebArgs {
     #[arg(long, hide = true)]
     pub beside: bool,
 
-    /// Print the address and the token as JSON, in one line
-    #[arg(long)]
-    pub json: bool,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub json: JsonOption,
 
     /// The run
     #[command(flatten)]

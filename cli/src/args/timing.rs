@@ -4,7 +4,7 @@ use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use tandem_page::output::STDOUT;
+use tandem_page::json::JsonOption;
 
 use super::parse_duration;
 
@@ -28,9 +28,9 @@ pub struct TimeArgs {
     #[arg(long, value_enum, default_value_t = TimeBoard::Host)]
     pub board: TimeBoard,
 
-    /// Also write the figures to this file [without FILE: to stdout, and nothing else there]
-    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
-    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs)]
+    pub json: JsonOption,
 
     /// How long to show the run [default: until it ends, or Ctrl-C]
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]

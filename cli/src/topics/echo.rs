@@ -1,6 +1,7 @@
 //! `tandem topics echo`: the samples of a topic, or the frames of one message of the bus.
 
 use std::io::Write;
+use std::mem;
 
 use serde_json::{Map, Value};
 use tandem_board::Instant;
@@ -77,9 +78,9 @@ pub(super) fn run(
     let mut printer = Printer {
         gateway: Gateway::default(),
         signals: SignalTable::new(),
-        json: place.json,
         frames: 0,
     };
+    let mut lines = mem::take(&mut out.json).lines();
     let (mut samples, mut has_hinted) = (0_u64, false);
     while !watch.is_over() && !out.is_closed {
         turn(&mut node, &mut listing)?;
@@ -90,8 +91,8 @@ pub(super) fn run(
                 Wanted::Bus => printer.frame(node.now(), None, &sample),
                 Wanted::Frame(id) => printer.frame(node.now(), Some(id), &sample),
             };
-            if let Some(line) = line {
-                out.print(&line)?;
+            if let Some((object, text)) = line {
+                out.print(&lines.line(&object, || text)?)?;
             }
         }
         if printer.frames == 0 && !has_hinted && watch.begin.elapsed() > HINT_AFTER {
@@ -106,6 +107,7 @@ pub(super) fn run(
         let text = silence(name, endpoint.topic, samples, place, &listing);
         return Err(Failure::NothingHeard(text));
     }
+    lines.finish()?;
     Ok(())
 }
 
@@ -126,11 +128,12 @@ fn silence(
 struct Printer {
     gateway: Gateway,
     signals: SignalTable,
-    json: bool,
     /// How many lines it has made.
     frames: u64,
 }
 
+/// A line as JSON, and as text.
+type Line = (Value, String);
 /// A member with its value as text and unit, and as JSON.
 type Member = (&'static str, String, Value);
 
@@ -140,7 +143,7 @@ impl Printer {
         now: Instant,
         wanted: Option<u32>,
         sample: &tandem_topics::Sample<{ tandem_topics_host::node::BYTES }>,
-    ) -> Option<String> {
+    ) -> Option<Line> {
         let frame = CanFrame::decode(sample.payload()).ok()?;
         let passed = self.gateway.hear(now, sample.writer, &frame)?;
         if wanted.is_some_and(|id| id != frame.id) {
@@ -168,7 +171,7 @@ impl Printer {
         Some(self.line(now, (name, &title), head, members))
     }
 
-    fn command(&mut self, now: Instant, topic: SocTopic, payload: &[u8]) -> Option<String> {
+    fn command(&mut self, now: Instant, topic: SocTopic, payload: &[u8]) -> Option<Line> {
         let members = command_members(topic, payload).ok()?;
         let name = INPUTS[topic as usize].topic;
         Some(self.line(now, (name, name), Map::new(), members))
@@ -180,23 +183,21 @@ impl Printer {
         (name, title): (&str, &str),
         mut object: Map<String, Value>,
         members: Vec<Member>,
-    ) -> String {
+    ) -> Line {
         self.frames += 1;
         let time_s = now.since(Instant::ORIGIN).as_ms_f64() / 1e3;
-        if self.json {
-            let values = members.into_iter();
-            let values: Map<_, _> = values
-                .map(|(name, _, value)| (name.into(), value))
-                .collect();
-            object.insert("time_s".to_owned(), time_s.into());
-            object.insert("name".to_owned(), name.into());
-            object.insert("values".to_owned(), values.into());
-            return format!("{}\n", Value::Object(object));
-        }
-        let members = members
+        let texts = members
             .iter()
             .map(|(name, text, _)| format!("  {name}={text}"));
-        format!("{time_s:10.4} {title}{}\n", members.collect::<String>())
+        let text = format!("{time_s:10.4} {title}{}\n", texts.collect::<String>());
+        let values = members.into_iter();
+        let values: Map<_, _> = values
+            .map(|(name, _, value)| (name.into(), value))
+            .collect();
+        object.insert("time_s".to_owned(), time_s.into());
+        object.insert("name".to_owned(), name.into());
+        object.insert("values".to_owned(), values.into());
+        (Value::Object(object), text)
     }
 }
 

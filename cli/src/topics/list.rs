@@ -44,11 +44,7 @@ pub(super) fn run(
     while !watch.is_over() {
         turn(&mut node, &mut listing)?;
     }
-    out.print(&if place.json {
-        json(&listing)?
-    } else {
-        text(&listing)
-    })?;
+    out.document(&rows(&listing), || text(&listing))?;
     if node.participant.refused > 0 {
         eprintln!("there are more participants than this one hears: endpoints may be missing");
     }
@@ -94,8 +90,8 @@ fn text(listing: &Listing) -> String {
     text
 }
 
-fn json(listing: &Listing) -> Result<String, Failure> {
-    let rows: Vec<_> = listing
+fn rows(listing: &Listing) -> Vec<Row<'_>> {
+    listing
         .endpoints()
         .into_iter()
         .map(|endpoint| Row {
@@ -115,6 +111,5 @@ fn json(listing: &Listing) -> Result<String, Failure> {
                 .map(|(writer, reason)| Misfit { writer, reason })
                 .collect(),
         })
-        .collect();
-    Ok(serde_json::to_string_pretty(&rows)? + "\n")
+        .collect()
 }

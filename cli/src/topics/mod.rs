@@ -8,15 +8,18 @@ mod tests;
 
 use std::fs;
 use std::io::{self, Write};
+use std::mem;
 use std::net::UdpSocket;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow};
+use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board::Channel;
 use tandem_board_udp::{UdpChannel, UdpPlace};
+use tandem_page::json::JsonOutput;
 use tandem_qos_profiles::{Profiles, SOC};
 use tandem_topics::Endpoint;
 use tandem_topics_host::approach::{Approach, ApproachPhase};
@@ -55,6 +58,7 @@ pub fn run(args: &TopicsArgs) -> Result<(), Failure> {
 
 fn run_to(args: &TopicsArgs, stop: &AtomicBool, out: &mut Out<impl Write>) -> Result<(), Failure> {
     let place = &args.place;
+    out.json = place.json.check().map_err(Failure::usage)?;
     match args.command.as_ref().unwrap_or(&TopicsCommand::List) {
         TopicsCommand::List => list::run(place, &Watch::new(place, Some(LISTS_S), stop), out),
         TopicsCommand::Echo { name } => echo::run(name, place, &Watch::new(place, None, stop), out),
@@ -94,15 +98,27 @@ impl<'a> Watch<'a> {
 /// Stdout. A closed pipe ends the output, and is no error.
 struct Out<W> {
     to: W,
+    json: JsonOutput,
     is_closed: bool,
 }
 
 impl<W: Write> Out<W> {
-    const fn new(to: W) -> Self {
+    fn new(to: W) -> Self {
         Self {
             to,
+            json: JsonOutput::default(),
             is_closed: false,
         }
+    }
+
+    /// Prints a document or its text, once.
+    fn document(
+        &mut self,
+        document: &impl Serialize,
+        text: impl FnOnce() -> String,
+    ) -> Result<(), Failure> {
+        let shown = mem::take(&mut self.json).write(document, text)?;
+        self.print(&shown)
     }
 
     fn print(&mut self, text: &str) -> Result<(), Failure> {
@@ -258,25 +274,22 @@ fn soc(
     out: &mut Out<impl Write>,
 ) -> Result<(), Failure> {
     let mut soc = open_soc(at(place)?, place.profile.as_ref(), Approach::new(way))?;
+    let mut lines = mem::take(&mut out.json).lines();
     let mut told = None;
     while !watch.is_over() && !out.is_closed {
         turn_soc(&mut soc)?;
         let (phase, driven) = (soc.approach().phase(), soc.approach().driven());
         if told.replace(phase) != Some(phase) {
-            let text = if place.json {
-                let time_s = watch.begin.elapsed().as_secs_f64();
-                let name = format!("{phase:?}");
-                let object = serde_json::json!({
-                    "time_s": time_s, "phase": name, "driven_m": driven, "way_m": way,
-                });
-                format!("{object}\n")
-            } else {
-                let time_s = watch.begin.elapsed().as_secs_f64();
-                format!("{time_s:8.3} s  {driven:5.2} of {way} m  {phase}\n")
-            };
-            out.print(&text)?;
+            let time_s = watch.begin.elapsed().as_secs_f64();
+            let name = format!("{phase:?}");
+            let object = serde_json::json!({
+                "time_s": time_s, "phase": name, "driven_m": driven, "way_m": way,
+            });
+            let text = || format!("{time_s:8.3} s  {driven:5.2} of {way} m  {phase}\n");
+            out.print(&lines.line(&object, text)?)?;
         }
     }
+    lines.finish()?;
     match soc.approach().phase() {
         ApproachPhase::Parked => Ok(()),
         ApproachPhase::Waiting if soc.gateway().reports().next().is_none() => Err(

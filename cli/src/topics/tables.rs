@@ -47,15 +47,10 @@ pub(super) fn run(
         let text = nothing(place, Some(OUTPUTS[0].topic), &listing);
         return Err(Failure::NothingHeard(text));
     }
-    let text = if place.json {
-        let rows = gateway
-            .reports()
-            .map(|(id, report)| IdFigures::of(now, id, report));
-        serde_json::to_string_pretty(&rows.collect::<Vec<_>>())? + "\n"
-    } else {
-        text(table, now, &gateway)
-    };
-    out.print(&text)?;
+    let rows = gateway
+        .reports()
+        .map(|(id, report)| IdFigures::of(now, id, report));
+    out.document(&rows.collect::<Vec<_>>(), || text(table, now, &gateway))?;
     let counts = node.participant.reader_counts(0);
     if table == Table::Loss && counts.lost + counts.replaced > 0 {
         eprintln!(

@@ -26,6 +26,7 @@ use tandem::failure::Failure;
 use tandem::viewer::{self, ShownRun};
 use tandem_observers::Observer;
 use tandem_page::command_line;
+use tandem_page::json::JsonOutput;
 use tandem_watch::Hands;
 
 use history::History;
@@ -78,9 +79,10 @@ fn run(args: &WebArgs) -> Result<ExitCode, Failure> {
     if args.beside {
         return beside(args.port, &told).map_err(Failure::Run);
     }
+    let json_to = args.json.check().map_err(Failure::usage)?;
     let observer = Observer::on(args.run.name.as_deref()).map_err(Failure::usage)?;
     let (server, asked, token) = serve(args.port).map_err(Failure::Usage)?;
-    announce(args.json, &server, &token)?;
+    announce(json_to, &server, &token)?;
     follow(observer, true, &server, &asked, &told).map_err(Failure::Run)?;
     Ok(match is_set(&told.interrupted) {
         true => ExitCode::from(INTERRUPTED),
@@ -132,17 +134,16 @@ fn is_set(flag: &AtomicBool) -> bool {
 }
 
 /// Prints where the page is, and the token.
-fn announce(json: bool, server: &Server, token: &Token) -> Result<(), Failure> {
-    let text = match json {
-        true => serde_json::to_string(&Start {
-            url: url(server, token),
-            token: token.text(),
-            port: server.port(),
-        })
-        .context("JSON")?,
-        false => address(server, token),
+fn announce(json_to: JsonOutput, server: &Server, token: &Token) -> Result<(), Failure> {
+    let start = Start {
+        url: url(server, token),
+        token: token.text(),
+        port: server.port(),
     };
-    tandem::print(&(text + "\n")).map_err(Failure::Run)
+    let mut lines = json_to.lines();
+    let line = lines.line(&start, || address(server, token) + "\n")?;
+    lines.finish()?;
+    tandem::print(&line).map_err(Failure::Run)
 }
 
 fn url(server: &Server, token: &Token) -> String {

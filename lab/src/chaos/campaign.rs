@@ -9,7 +9,6 @@ use std::time::Duration;
 use anyhow::{Context as _, bail};
 use rustix::process::{Pid, Signal, kill_process};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-use tandem_page::output::OutputFile;
 
 use super::pipe::Line;
 use super::recording_judge::Outcome;
@@ -28,21 +27,15 @@ const FAULTS_OF_A_RUN: usize = 100;
 /// # Errors
 /// Returns the [`Failure`] whose exit status the command documents.
 pub(super) fn run(source: &Source, numbers: &[u64], args: &ChaosArgs) -> Result<(), Failure> {
-    let [place] =
-        OutputFile::check_all([("--json", args.json.as_deref())]).map_err(Failure::usage)?;
+    let place = args.json.check().map_err(Failure::usage)?;
     let interrupted = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM, SIGHUP] {
         signal_hook::flag::register(signal, Arc::clone(&interrupted))
             .context("listening to signals")?;
     }
     let found = inject(source, numbers, args, &interrupted)?;
-    if !place.as_ref().is_some_and(OutputFile::is_stdout) {
-        print(&report::text(source, &found))?;
-    }
-    if let Some(place) = place {
-        let figures = report::json(source, &found);
-        place.write(&format!("{figures:#}\n"))?;
-    }
+    let figures = report::json(source, &found);
+    print(&place.write(&figures, || report::text(source, &found))?)?;
     let violated = report::violated(&found);
     if violated > 0 {
         let objection = format!("{violated} faults violate a rule");

@@ -19,7 +19,6 @@ use tandem_processes::files::RunFiles;
 use tandem_processes::recorder::Recorder;
 use tandem_processes::run_config::LimitProfile;
 use tandem_processes::vehicle;
-use tandem_vehicle::Scenario;
 
 use super::Source;
 use super::pipe::{Line, report};
@@ -67,7 +66,7 @@ pub(super) fn run(source: &Source, numbers: &[u64]) -> anyhow::Result<()> {
     });
     let mut disturbed = Disturbed::new(world, sequences.collect::<anyhow::Result<_>>()?);
     let recorder = Recorder::create(&files)?;
-    let scenario = Scenario::load(&config.scenario)?;
+    let scenario = config.load_scenario()?;
     vehicle::drive(&config, &scenario, &mut disturbed, recorder)?;
     if let Some(refused) = disturbed.refused {
         return Err(refused.into());

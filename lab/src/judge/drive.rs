@@ -12,6 +12,7 @@ use tandem_processes::world_record;
 use tandem_record::verdict::figures::of_drive;
 use tandem_record::verdict::{Finding, Rule};
 use tandem_sim::drive::poller;
+use tandem_vehicle::commonroad::ProblemChoice;
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road, RoadLane};
 use tandem_vehicle::{Scenario, ScenarioError, World, WorldMetrics};
@@ -55,6 +56,11 @@ pub(crate) enum Verdict {
 pub(crate) struct Judgement {
     /// Name of the file in its folder.
     pub(crate) file: String,
+    /// Id of the planning problem; `null` if it has none, or the file cannot be read.
+    pub(crate) problem: Option<i64>,
+    /// Its place among the planning problems of the file, from 1, and their number.
+    pub(crate) problem_number: usize,
+    pub(crate) problem_count: usize,
     pub(crate) verdict: Verdict,
     /// Reason why it was refused or stopped; empty if driven.
     pub(crate) reason: String,
@@ -140,7 +146,8 @@ pub(crate) struct Picture {
     pub(crate) hit_at: Option<Vec2>,
 }
 
-/// Drives the file of the folder, and judges the drive. With `out`, also writes its report.
+/// Drives each planning problem of the file in the folder, or the chosen one, and judges each.
+/// With `out`, also writes the report of the drive.
 ///
 /// # Errors
 /// If the report cannot be written.
@@ -148,10 +155,25 @@ pub(crate) fn judge(
     args: &JudgeArgs,
     file: &str,
     out: Option<&ReportFolder>,
-) -> anyhow::Result<Judgement> {
+) -> anyhow::Result<Vec<Judgement>> {
     let path = args.folder.as_deref().unwrap_or(Path::new("")).join(file);
     let lanelets = Lanelets::read(&path);
-    judge_scenario(args, file, Scenario::read(&path), &lanelets, out)
+    let ids = Scenario::problem_ids(&path);
+    let count = ids.len().max(1);
+    let is_chosen = |number: &usize| {
+        let chosen = args.problem;
+        chosen.is_none() || ids.iter().position(|id| *id == chosen) == Some(number - 1)
+    };
+    let judge = |number: usize| {
+        let scenario = Scenario::read_problem(&path, ProblemChoice::Number(number));
+        Ok(Judgement {
+            problem: ids.get(number - 1).copied().flatten(),
+            problem_number: number,
+            problem_count: count,
+            ..judge_scenario(args, file, scenario, &lanelets, out)?
+        })
+    };
+    (1..=count).filter(is_chosen).map(judge).collect()
 }
 
 /// Drives this scenario, and judges the drive; a scenario that could not be read is refused.
@@ -184,7 +206,7 @@ pub(super) fn judge_scenario(
     let problem = scenario.planning_problem();
     let seen = Seen {
         track: args.solutions.as_ref().map(|_| Track::new(problem.step_s)),
-        recording: out.map(|_| Recording::new(scenario.name(), seed, args.duration)),
+        recording: out.map(|_| Recording::new(&scenario.title(), seed, args.duration)),
         ..Seen::default()
     };
     let (world, seen, ended) = drive(world, args.duration, seed, seen);
@@ -289,6 +311,9 @@ fn figures(file: &str, metrics: &WorldMetrics) -> Judgement {
     Judgement {
         findings,
         file: file.to_owned(),
+        problem: None,
+        problem_number: 1,
+        problem_count: 1,
         verdict: Verdict::Refused,
         reason: String::new(),
         collision: metrics.collisions > 0,

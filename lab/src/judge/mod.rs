@@ -8,13 +8,14 @@ mod rss;
 mod solution;
 mod variants;
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow, bail};
 use drive::{Judgement, Verdict};
 use rss::Collision;
-use tandem_page::output::{OutputFile, OutputFolder};
+use tandem_page::output::OutputFolder;
 use tandem_record::verdict::Rule;
 use tandem_vehicle::Scenario;
 
@@ -33,7 +34,7 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     if let Some(count) = args.variants {
         let made = || variants::variants(count, args.seed);
         return match place {
-            Some(_) if args.json.is_some() => Err(Failure::Usage(anyhow!(
+            Some(_) if args.json.is_given() => Err(Failure::Usage(anyhow!(
                 "--variants with DIR judges nothing: leave out --json, or DIR"
             ))),
             Some(folder) => {
@@ -49,36 +50,23 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
         folder: Some(folder.clone()),
         ..args.clone()
     };
-    if args.out.is_some() && files.len() != 1 {
-        let count = files.len();
-        let what = anyhow!("--out is for the drive of one file; there are {count}: name one");
-        return Err(Failure::Usage(what));
-    }
+    check_choice(args, &folder, &files).map_err(Failure::Usage)?;
     let out = args.out.as_deref().map(ReportFolder::check).transpose();
     let out = out.map_err(Failure::Usage)?;
-    let places = [
-        ("--json", args.json.as_deref()),
-        ("--html", args.html.as_deref()),
-    ];
-    let places = OutputFile::check_all(places);
-    let [json_to, html_to] = places.map_err(Failure::usage)?;
+    let places = args.json.check_with([("--html", args.html.as_deref())]);
+    let (json_to, [html_to]) = places.map_err(Failure::usage)?;
     let solutions = args.solutions.as_deref();
     let solutions = solutions.map(|folder| OutputFolder::check("--solutions", folder));
     let solutions_to = solutions.transpose().map_err(Failure::usage)?;
     let judged = all(args, &files, out.as_ref())?;
-    if !json_to.as_ref().is_some_and(OutputFile::is_stdout) {
-        tandem::print(&table(&judged))?;
-    }
-    if let Some(place) = json_to {
-        place.write(&(serde_json::to_string_pretty(&judged)? + "\n"))?;
-    }
+    tandem::print(&json_to.write(&judged, || table(&judged))?)?;
     if let Some(place) = html_to {
         place.write(&page::page(&folder, &judged))?;
     }
     if let Some(place) = solutions_to {
         let solved = judged.iter().filter_map(|it| {
             let text = it.solution.clone()?;
-            Some((format!("solution_{}", it.file), text))
+            Some((it.solution_name(), text))
         });
         place.fill(&solved.collect::<Vec<_>>())?;
     }
@@ -91,6 +79,34 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
         Ok(())
     } else {
         Err(Failure::Objections(broken))
+    }
+}
+
+/// Checks that `--problem` names a planning problem of the only file, and that `--out` is for one
+/// drive.
+fn check_choice(args: &JudgeArgs, folder: &Path, files: &[String]) -> anyhow::Result<()> {
+    let option = match (args.problem, &args.out) {
+        (Some(_), _) => "--problem",
+        (None, Some(_)) => "--out",
+        (None, None) => return Ok(()),
+    };
+    let [file] = files else {
+        let count = files.len();
+        bail!("{option} is for one file; there are {count}: name one");
+    };
+    let ids = Scenario::problem_ids(&folder.join(file));
+    let known: Vec<_> = ids.iter().flatten().map(ToString::to_string).collect();
+    let known = known.join(", ");
+    match args.problem {
+        Some(id) if !ids.contains(&Some(id)) => {
+            bail!("--problem {id}: {file} has the planning problems {known}")
+        }
+        None if ids.len() > 1 => bail!(
+            "--out is for one drive; {file} has {} planning problems: choose one with --problem: \
+             {known}",
+            ids.len()
+        ),
+        _ => Ok(()),
     }
 }
 
@@ -110,8 +126,7 @@ fn files_at(given: &Path) -> anyhow::Result<(PathBuf, Vec<String>)> {
 /// # Errors
 /// If a result cannot be written, or a drive breaks a bound.
 fn judge_variants(args: &JudgeArgs, made: Vec<variants::Variant>) -> Result<(), Failure> {
-    let [json_to] =
-        OutputFile::check_all([("--json", args.json.as_deref())]).map_err(Failure::usage)?;
+    let json_to = args.json.check().map_err(Failure::usage)?;
     let bar = work::bar(made.len() as u64, "{bar:30} {pos}/{len} {msg}")?;
     let judged = work::on_threads(args.jobs, made.into_iter(), |it| {
         bar.set_message(it.name.clone());
@@ -123,13 +138,8 @@ fn judge_variants(args: &JudgeArgs, made: Vec<variants::Variant>) -> Result<(), 
     });
     bar.finish_and_clear();
     let judged = judged?;
-    if !json_to.as_ref().is_some_and(OutputFile::is_stdout) {
-        tandem::print(&variants::table(&judged))?;
-    }
-    if let Some(place) = json_to {
-        let judged: Vec<&Judgement> = judged.iter().map(|it| &it.1).collect();
-        place.write(&(serde_json::to_string_pretty(&judged)? + "\n"))?;
-    }
+    let judgements: Vec<&Judgement> = judged.iter().map(|it| &it.1).collect();
+    tandem::print(&json_to.write(&judgements, || variants::table(&judged))?)?;
     let broken = judged.iter().filter_map(|(class, it)| {
         let found = variants::violations(*class, it);
         (!found.is_empty()).then(|| format!("{}: {}", it.file, found.join(", ")))
@@ -172,12 +182,13 @@ fn all(
         Ok(judgement)
     });
     bar.finish_and_clear();
-    judged
+    Ok(judged?.concat())
 }
 
 /// Returns one line for each file, and the totals.
 fn table(judged: &[Judgement]) -> String {
-    let longest = judged.iter().map(|it| it.file.len()).max().unwrap_or(0);
+    let longest = judged.iter().map(|it| it.title().chars().count());
+    let longest = longest.max().unwrap_or(0);
     let mut text = format!(
         "{:longest$}  verdict  collision  excursion  goal  brake   jerk  aside   RSS    remark\n\
          {:longest$}                               m        m/s²   m/s³   m/s²   m\n",
@@ -193,7 +204,7 @@ fn table(judged: &[Judgement]) -> String {
         let _ = writeln!(
             text,
             "{:longest$}  {:7}  {collision:9}  {:>9.2}  {:4}  {:>5.1}  {:>5.1}  {:>5.1}  {:>5}  {}",
-            it.file,
+            it.title(),
             name(it.verdict),
             it.excursion_m,
             goal(it),
@@ -212,11 +223,17 @@ fn table(judged: &[Judgement]) -> String {
 fn sums(judged: &[Judgement]) -> String {
     let count = |test: &dyn Fn(&Judgement) -> bool| judged.iter().filter(|it| test(it)).count();
     let of = |verdict| count(&|it| it.verdict == verdict);
+    let files: BTreeSet<&str> = judged.iter().map(|it| &*it.file).collect();
+    let problems = match judged.len() {
+        drives if drives == files.len() => String::new(),
+        drives => format!(", {drives} planning problems"),
+    };
     format!(
-        "{} files: {} driven, {} stopped, {} refused; {} collisions, {} caused, {} avoidable by RSS; \
+        "{} files{}: {} driven, {} stopped, {} refused; {} collisions, {} caused, {} avoidable by RSS; \
          {} excursions; {} of {} goals reached; outside emergencies {} braked above 4 m/s², {} \
          jerked above 10 m/s³; {} others forced to brake; {} files with defects of the data",
-        judged.len(),
+        files.len(),
+        problems,
         of(Verdict::Driven),
         of(Verdict::Stopped),
         of(Verdict::Refused),
@@ -264,6 +281,31 @@ fn goal(judgement: &Judgement) -> &'static str {
 }
 
 impl Judgement {
+    /// Returns the file, and the planning problem if the file has several.
+    fn title(&self) -> String {
+        let Self {
+            file,
+            problem_number,
+            problem_count,
+            ..
+        } = self;
+        match (problem_count, self.problem) {
+            (..=1, _) => file.clone(),
+            (_, Some(id)) => format!("{file} problem {id}"),
+            (_, None) => format!("{file} problem {problem_number} of {problem_count}"),
+        }
+    }
+
+    /// Returns the name of the file of its solution.
+    fn solution_name(&self) -> String {
+        let stem = self.file.trim_end_matches(".xml");
+        match (self.problem_count, self.problem) {
+            (2.., Some(id)) => format!("solution_{stem}-{id}.xml"),
+            // Without an id there is no solution.
+            _ => format!("solution_{}", self.file),
+        }
+    }
+
     /// Returns a collision in words, with the defect of the other's data, if it has one.
     fn told(&self, collision: &Collision) -> String {
         let other = format!("obstacle {}:", collision.other);
@@ -284,7 +326,7 @@ impl Judgement {
         if self.excursion_m > 0.0 {
             why.push(format!("outside its lanes by {:.2} m", self.excursion_m));
         }
-        (!why.is_empty()).then(|| format!("{}: {}", self.file, why.join("; ")))
+        (!why.is_empty()).then(|| format!("{}: {}", self.title(), why.join("; ")))
     }
 
     /// Returns the reason, the findings and further remarks, in one line.
@@ -356,6 +398,7 @@ impl Judgement {
 mod tests {
     use super::*;
     use crate::args::OtherTraffic;
+    use tandem_page::json::JsonOption;
 
     /// A scenario inside the domain is driven. A scenario that starts beside the road and a broken
     /// file are refused. The JSON has the names that scripts rely on.
@@ -371,10 +414,11 @@ mod tests {
         let args = JudgeArgs {
             folder: Some(folder.path().to_owned()),
             variants: None,
+            problem: None,
             duration: 1.0,
             seed: 1,
             jobs: None,
-            json: None,
+            json: JsonOption::default(),
             html: None,
             solutions: None,
             traffic: OtherTraffic::React,
@@ -382,7 +426,7 @@ mod tests {
         };
         let judged = files
             .iter()
-            .map(|file| drive::judge(&args, file, None).unwrap());
+            .flat_map(|file| drive::judge(&args, file, None).unwrap());
         let judged: Vec<Judgement> = judged.collect();
         let verdicts: Vec<Verdict> = judged.iter().map(|it| it.verdict).collect();
         let refused = Verdict::Refused;

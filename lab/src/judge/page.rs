@@ -63,8 +63,8 @@ fn is_good(it: &Judgement) -> bool {
 fn card(it: &Judgement) -> Markup {
     html! {
         div {
-            b style="overflow-wrap:anywhere" { (it.file) }
-            @if it.verdict != Verdict::Refused { (picture(&it.picture, &it.file)) }
+            b style="overflow-wrap:anywhere" { (it.title()) }
+            @if it.verdict != Verdict::Refused { (picture(&it.picture, &it.title())) }
             div.remark style="overflow-wrap:anywhere" {
                 (name(it.verdict)) " · goal " (goal(it))
                 @if it.verdict != Verdict::Refused {

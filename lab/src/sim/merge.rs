@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
-use tandem_page::output::OutputFile;
+use tandem_page::json::JsonOutput;
 
 use super::coverage::Coverage;
 use tandem::failure::Failure;
@@ -83,18 +83,14 @@ struct Part {
 }
 
 /// Adds up the results of these files.
-pub(super) fn run(files: &[PathBuf], place: Option<OutputFile>) -> Result<(), Failure> {
+pub(super) fn run(files: &[PathBuf], place: JsonOutput) -> Result<(), Failure> {
     let (totals, groups, ranges) = merged(files).map_err(Failure::Usage)?;
     let mut covered = Coverage::default();
     for group in groups.values() {
         covered.add(&Coverage::of_json(&group["covered"]).unwrap_or_default());
     }
-    if !place.as_ref().is_some_and(OutputFile::is_stdout) {
-        print(&format!("{}{totals}\n", covered.text(false)))?;
-    }
-    if let Some(place) = place {
-        place.write(&format!("{:#}\n", totals.json(groups, &ranges)))?;
-    }
+    let text = || format!("{}{totals}\n", covered.text(false));
+    print(&place.write(&totals.json(groups, &ranges), text)?)?;
     match totals.violations {
         0 => Ok(()),
         count => Err(Failure::Objections(vec![format!(

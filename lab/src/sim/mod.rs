@@ -16,7 +16,8 @@ use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rustix::time::{ClockId, clock_gettime};
 use tandem_faults::{Group, Sequence, Site, known};
-use tandem_page::output::{OutputFile, STDOUT};
+use tandem_page::json::JsonOption;
+use tandem_page::output::OutputFile;
 use tandem_redundancy::Config;
 use tandem_sim::timing::Time;
 use tandem_sim::{Around, Profile};
@@ -83,7 +84,7 @@ pub(crate) struct SimArgs {
     merge: Vec<PathBuf>,
 
     /// Print the events of one sequence, such as random:137; with --faults, give only the seed
-    #[arg(long, value_name = "GROUP:NUMBER")]
+    #[arg(long, value_name = "GROUP:NUMBER", conflicts_with = "json")]
     only: Option<String>,
 
     /// With --only: write the faults of this sequence to a TOML file
@@ -94,11 +95,8 @@ pub(crate) struct SimArgs {
     #[arg(long, value_name = "DIR", requires = "only")]
     out: Option<PathBuf>,
 
-    /// Write {seeds, violations, simulated_s, wall_s, ratio, cpu_s, digest, groups} to this file
-    /// [without FILE: to stdout, instead of the report]
-    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT,
-          conflicts_with = "only")]
-    json: Option<PathBuf>,
+    #[command(flatten)]
+    json: JsonOption,
 
     /// Run these sequences and exit; internal, started by the campaign
     #[arg(long, hide = true, num_args = 2, value_names = ["FROM", "TO"])]
@@ -247,12 +245,11 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
     if let (Some(chunk), [source]) = (&arguments.chunk, &sources[..]) {
         return run_chunk(source, chunk, arguments).map_err(Failure::Run);
     }
-    let [place] =
-        OutputFile::check_all([("--json", arguments.json.as_deref())]).map_err(Failure::usage)?;
+    let place = arguments.json.check().map_err(Failure::usage)?;
     if !arguments.merge.is_empty() {
         return merge::run(&arguments.merge, place);
     }
-    let is_quiet = place.as_ref().is_some_and(OutputFile::is_stdout);
+    let is_quiet = place.takes_stdout();
     let say = |text: &str| if is_quiet { Ok(()) } else { print(text) };
     let begin = Instant::now();
     let mut cpu_s = 0.0;
@@ -278,14 +275,9 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
         cpu_s,
         digest: all.digest,
     };
-    say(&format!(
-        "{}{totals}\n",
-        all.covered.text(arguments.coverage)
-    ))?;
-    if let Some(place) = place {
-        let figures = totals.json(groups, &ranges(&sources, arguments)?);
-        place.write(&format!("{figures:#}\n"))?;
-    }
+    let figures = totals.json(groups, &ranges(&sources, arguments)?);
+    let covered = || format!("{}{totals}\n", all.covered.text(arguments.coverage));
+    print(&place.write(&figures, covered)?)?;
     if all.violated > 0 {
         let objection = format!("{} sequences violate what must be so", all.violated);
         return Err(Failure::Objections(vec![objection]));

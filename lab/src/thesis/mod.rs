@@ -12,7 +12,6 @@ use std::fmt::Write as _;
 use anyhow::Context as _;
 use serde::Serialize;
 use tandem_board::Duration;
-use tandem_page::output::OutputFile;
 use tandem_record::gap::Bounds;
 use tandem_record::verdict::{Beside, Figures, Limits, Rule};
 use tandem_record::{RunLog, start};
@@ -109,12 +108,8 @@ struct Json<'a> {
 /// [`Failure::Run`] if an experiment cannot be run, [`Failure::Objections`] if a figure exceeds
 /// its bound.
 pub(crate) fn run(args: &ThesisArgs) -> Result<(), Failure> {
-    let places = [
-        ("--svg", args.svg.as_deref()),
-        ("--json", args.json.as_deref()),
-    ];
-    let places = OutputFile::check_all(places);
-    let [svg_to, json_to] = places.map_err(Failure::usage)?;
+    let places = args.json.check_with([("--svg", args.svg.as_deref())]);
+    let (json_to, [svg_to]) = places.map_err(Failure::usage)?;
     let shown = experiments(args)?;
     let mut text = shown.text;
     text += &table(&shown.rows);
@@ -122,18 +117,11 @@ pub(crate) fn run(args: &ThesisArgs) -> Result<(), Failure> {
         place.write(svg)?;
         let _ = writeln!(text, "\npicture of the outputs: {}", path.display());
     }
-    let is_quiet = json_to.as_ref().is_some_and(OutputFile::is_stdout);
-    if let Some(place) = json_to {
-        let json = Json {
-            board: args.board,
-            results: &shown.rows,
-        };
-        let json = serde_json::to_string_pretty(&json)?;
-        place.write(&(json + "\n"))?;
-    }
-    if !is_quiet {
-        tandem::print(&text)?;
-    }
+    let json = Json {
+        board: args.board,
+        results: &shown.rows,
+    };
+    tandem::print(&json_to.write(&json, || text)?)?;
     let beyond = shown.rows.iter().filter(|row| !row.ok);
     let beyond: Vec<_> = beyond
         .map(|row| format!("{} is {:.3} {}", row.name, row.here, row.unit))

@@ -40,7 +40,12 @@ const SHARED_NEAR: f64 = 1.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Exit {
     /// Another lane crosses this one, or turns off as at a junction.
-    Crossing,
+    Crossing {
+        /// Id of that lane's lanelet in the file.
+        lanelet: i64,
+        /// The angle between both lanes, rad.
+        angle: f64,
+    },
     /// The lane is used in both directions.
     Shared,
     /// The lane has this width, outside the limits, m.
@@ -54,7 +59,13 @@ pub enum Exit {
 impl fmt::Display for Exit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Crossing => f.write_str("a junction"),
+            Self::Crossing { lanelet, angle } => {
+                let angle = angle.to_degrees();
+                write!(
+                    f,
+                    "a junction (lanelet {lanelet} at {angle:.0}° to the lane)"
+                )
+            }
             Self::Shared => f.write_str("a lane for both directions"),
             Self::Width(width) => write!(f, "a lane {width:.1} m wide"),
             Self::Radius(radius) => write!(f, "a bend of {radius:.0} m radius"),
@@ -69,7 +80,8 @@ pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
     let square = |x: f64| (x / CROSSING_NEAR).floor() as i64;
     let mut squares: HashMap<(i64, i64), Vec<(usize, f64)>> = HashMap::new();
     for (index, lane) in lanes.iter().enumerate() {
-        for (s, section) in lane.mapped() {
+        // Who drives across a zebra stays in its lane.
+        for (s, section) in lane.mapped().filter(|(_, it)| !it.is_crosswalk) {
             let key = (square(section.centre.x), square(section.centre.y));
             squares.entry(key).or_default().push((index, s));
         }
@@ -87,7 +99,10 @@ pub(crate) fn exits(lanes: &[RoadLane]) -> Vec<Vec<(f64, Exit)>> {
                 let apart = (other.centre - section.centre).norm();
                 let angle = wrap_angle(other.heading - section.heading).abs();
                 if apart < CROSSING_NEAR && CROSSING_ANGLE.contains(&angle) {
-                    return Some(Exit::Crossing);
+                    return Some(Exit::Crossing {
+                        lanelet: other.lanelet,
+                        angle,
+                    });
                 }
                 (apart < SHARED_NEAR && angle >= CROSSING_ANGLE.end).then_some(Exit::Shared)
             })
@@ -194,6 +209,7 @@ mod tests {
             right_neighbour: None,
             speed_limit: None,
             is_refused: false,
+            is_crosswalk: false,
         }
     }
 
@@ -221,9 +237,10 @@ mod tests {
         );
         let across = lanelet(2, &line((150.0, -50.0), (150.0, 50.0)), 3.5);
         let (distance, exit) = end(&[straight(), across]).unwrap();
-        assert!(
-            (distance - 140.0).abs() < 4.0 && exit == Exit::Crossing,
-            "{distance} {exit}"
+        assert!((distance - 140.0).abs() < 4.0, "{distance} {exit}");
+        assert_eq!(
+            exit.to_string(),
+            "a junction (lanelet 2 at 90° to the lane)"
         );
         let against = lanelet(2, &line((200.0, 0.3), (100.0, 0.3)), 3.5);
         let (distance, exit) = end(&[straight(), against]).unwrap();
@@ -261,6 +278,41 @@ mod tests {
             "{distance} {exit}"
         );
         assert_eq!(end(&[lanelet(1, &turn(30.0), 3.5)]), None);
+    }
+
+    /// A zebra is no junction: the lane goes on across it. Nobody drives along it, and a lane that
+    /// crosses at the same place is still one.
+    #[test]
+    fn a_zebra_ends_no_lane() {
+        let straight = lanelet(1, &line((0.0, 0.0), (300.0, 0.0)), 3.5);
+        let across = |id, x: f64| lanelet(id, &line((x, 20.0), (x - 15.0, -20.0)), 3.0);
+        let zebra = Lanelet {
+            is_refused: true,
+            is_crosswalk: true,
+            ..across(2, 150.0)
+        };
+        let on_both = [straight.clone(), zebra.clone()];
+        assert_eq!(end(&on_both), None);
+        let road = Road::new(&on_both).unwrap();
+        let middle = Vec2::new(142.5, 0.0);
+        let along = road
+            .lane(LaneId(1))
+            .at(road.lane(LaneId(1)).project(middle).s)
+            .heading;
+        assert_eq!(road.locate_car(middle, along).0, LaneId(0));
+        assert!(!road.is_oncoming(middle, along + std::f64::consts::PI));
+        let sidewalk = Lanelet {
+            is_refused: true,
+            ..across(3, 150.0)
+        };
+        assert!(matches!(
+            end(&[straight.clone(), sidewalk]),
+            Some((_, Exit::Crossing { lanelet: 3, .. }))
+        ));
+        assert!(matches!(
+            end(&[straight, zebra, across(4, 150.0)]),
+            Some((_, Exit::Crossing { lanelet: 4, .. }))
+        ));
     }
 
     #[test]

@@ -17,6 +17,7 @@ fn road(drop: Option<f64>) -> Arc<Road> {
         right_neighbour: None,
         speed_limit: None,
         is_refused: false,
+        is_crosswalk: false,
     };
     let end = drop.unwrap_or(2_000.0);
     let mut lanelets = vec![lanelet(1, 0.0, -500.0, end), lanelet(2, 4.0, -500.0, end)];
