@@ -298,7 +298,7 @@ fn show_worst(picture: &mut Picture, moments: &[Moment], rss: &Rss, metrics: &Wo
     }
 }
 
-fn refused(file: &str, reason: String) -> Judgement {
+pub(super) fn refused(file: &str, reason: String) -> Judgement {
     Judgement {
         reason,
         ..figures(file, &WorldMetrics::default())

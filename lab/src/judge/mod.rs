@@ -28,7 +28,7 @@ use tandem::output::{REPORT, ReportFolder};
 ///
 /// # Errors
 /// If the folder cannot be read or has no scenario, a result cannot be written, or the ego caused
-/// a collision or left its lanes.
+/// an avoidable collision or left its lanes.
 pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     let place = args.folder.as_deref();
     if let Some(count) = args.variants {
@@ -190,20 +190,21 @@ fn table(judged: &[Judgement]) -> String {
     let longest = judged.iter().map(|it| it.title().chars().count());
     let longest = longest.max().unwrap_or(0);
     let mut text = format!(
-        "{:longest$}  verdict  collision  excursion  goal  brake   jerk  aside   RSS    remark\n\
-         {:longest$}                               m        m/s²   m/s³   m/s²   m\n",
+        "{:longest$}  verdict  collision    excursion  goal  brake   jerk  aside   RSS    remark\n\
+         {:longest$}                                 m        m/s²   m/s³   m/s²   m\n",
         "file", ""
     );
     for it in judged {
-        let collision = match (it.collision_by_ego, it.collision) {
-            (true, _) => "caused",
-            (_, true) => "hit",
+        let collision = match (it.caused(), it.collision_by_ego, it.collision) {
+            (true, ..) => "caused",
+            (_, true, _) => "unavoidable",
+            (.., true) => "hit",
             _ => "–",
         };
         // Writing to a string cannot fail.
         let _ = writeln!(
             text,
-            "{:longest$}  {:7}  {collision:9}  {:>9.2}  {:4}  {:>5.1}  {:>5.1}  {:>5.1}  {:>5}  {}",
+            "{:longest$}  {:7}  {collision:11}  {:>9.2}  {:4}  {:>5.1}  {:>5.1}  {:>5.1}  {:>5}  {}",
             it.title(),
             name(it.verdict),
             it.excursion_m,
@@ -229,7 +230,7 @@ fn sums(judged: &[Judgement]) -> String {
         drives => format!(", {drives} planning problems"),
     };
     format!(
-        "{} files{}: {} driven, {} stopped, {} refused; {} collisions, {} caused, {} avoidable by RSS; \
+        "{} files{}: {} driven, {} stopped, {} refused; {} collisions, {} caused, {} unavoidable by RSS; \
          {} excursions; {} of {} goals reached; outside emergencies {} braked above 4 m/s², {} \
          jerked above 10 m/s³; {} others forced to brake; {} files with defects of the data",
         files.len(),
@@ -238,8 +239,8 @@ fn sums(judged: &[Judgement]) -> String {
         of(Verdict::Stopped),
         of(Verdict::Refused),
         count(&|it| it.collision),
-        count(&|it| it.collision_by_ego),
-        judged.iter().map(|it| it.rss.avoidable()).sum::<usize>(),
+        count(&Judgement::caused),
+        count(&|it| it.collision_by_ego && !it.caused()),
         count(&|it| it.excursion_m > 0.0),
         count(&|it| it.goal_reached == Some(true)),
         count(&|it| it.goal_reached.is_some()),
@@ -316,10 +317,15 @@ impl Judgement {
         })
     }
 
+    /// Returns whether the vehicle caused a collision that RSS does not call unavoidable.
+    fn caused(&self) -> bool {
+        self.collision_by_ego && (self.rss.collisions.is_empty() || self.rss.avoidable() > 0)
+    }
+
     /// Returns why the drive fails the judgement; `None` if it does not.
     fn objection(&self) -> Option<String> {
         let mut why = Vec::new();
-        if self.collision_by_ego {
+        if self.caused() {
             why.push("a collision that the vehicle caused".to_owned());
             why.extend(self.rss.collisions.iter().map(|it| self.told(it)));
         }
@@ -452,5 +458,36 @@ mod tests {
         assert_eq!(json["verdict"], "driven");
         assert!(page::page(folder.path(), &judged).contains("a.xml"));
         assert!(table(&judged).contains("1 driven, 0 stopped, 2 refused"));
+    }
+
+    /// Only a collision that RSS calls avoidable fails the drive; one that it did not see does too.
+    #[test]
+    fn an_unavoidable_collision_is_told_and_not_caused() {
+        let hit = |avoidable| rss::Collision {
+            at_s: 0.9,
+            other: 7,
+            danger_from_s: 0.0,
+            gap_m: 7.8,
+            safe_gap_m: 40.4,
+            avoidable,
+            broke: rss::Broke::Nobody,
+        };
+        for (collisions, told, column) in [
+            (vec![], true, "caused"),
+            (vec![hit(true), hit(false)], true, "caused"),
+            (vec![hit(false)], false, "unavoidable"),
+        ] {
+            let mut judged = drive::refused("a.xml", String::new());
+            (judged.collision, judged.collision_by_ego) = (true, true);
+            judged.rss.collisions = collisions;
+            assert_eq!(judged.objection().is_some(), told, "{column}");
+            let counts = if told {
+                "1 caused, 0 unavoidable"
+            } else {
+                "0 caused, 1 unavoidable"
+            };
+            let table = table(&[judged]);
+            assert!(table.contains(column) && table.contains(counts), "{table}");
+        }
     }
 }

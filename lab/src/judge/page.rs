@@ -20,9 +20,10 @@ type Test = fn(&Judgement) -> bool;
 
 /// Returns the page for the scenarios of this folder.
 pub(super) fn page(folder: &Path, judged: &[Judgement]) -> String {
-    let groups: [(&str, Test); 5] = [
-        ("Collisions that the vehicle caused", |it| {
-            it.collision_by_ego
+    let groups: [(&str, Test); 6] = [
+        ("Collisions that the vehicle caused", Judgement::caused),
+        ("Collisions that RSS calls unavoidable", |it| {
+            it.collision_by_ego && !it.caused()
         }),
         ("Left its lanes", |it| {
             !it.collision_by_ego && it.excursion_m > 0.0
