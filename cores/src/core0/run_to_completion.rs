@@ -11,7 +11,8 @@ use tandem_redundancy::Phase;
 
 /// Least distance between two passes that doorbells cause before this system has a role.
 const START_DISTANCE: Duration = Duration::from_us(100);
-/// Longer than the longest task, trajectory input: 0.3 ms on a core of 1 GHz without floating point.
+/// Longer than the longest task, trajectory input: 0.3 ms on a core of 1 GHz without floating
+/// point.
 const LONGEST_TASK: Duration = Duration::from_us(500);
 
 /// The shared state of tasks that run one after the other: no lock is needed.

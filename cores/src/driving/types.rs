@@ -47,8 +47,8 @@ pub struct Lanes {
     pub right: Option<f32>,
     /// Distance to the end of the ego lane, m; `f32::INFINITY` if no end is in sight.
     pub own_end: f32,
-    /// The ego lane continues beyond that end, but outside the operational design domain. Nothing is
-    /// decided by it: both ends are treated alike.
+    /// The ego lane continues beyond that end, but outside the operational design domain. Nothing
+    /// is decided by it: both ends are treated alike.
     pub ends_domain: bool,
     /// The same distance for the lane to the left.
     pub left_end: f32,

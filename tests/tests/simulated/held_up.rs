@@ -105,8 +105,8 @@ fn a_core_held_up_before_its_service_does_not_serve_early_after_it() {
     }
 }
 
-/// T-RED-8: core 0 without a kernel runs each task to its end. As standby it begins the longest one,
-/// trajectory input, not within half a millisecond before it takes over.
+/// T-RED-8: core 0 without a kernel runs each task to its end. As standby it does not begin the
+/// longest one, trajectory input, within half a millisecond before it takes over.
 #[test]
 fn no_long_task_begins_shortly_before_a_takeover() {
     let of_b = |drive: &Drive, wanted: fn(&Event) -> bool| {

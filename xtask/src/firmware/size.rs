@@ -120,8 +120,8 @@ pub(super) fn run(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Builds the images of a Cortex-M33. Returns what mailbox and FIFO add to an image that only starts,
-/// and to one that copies memory and can panic as well.
+/// Builds the images of a Cortex-M33. Returns what mailbox and FIFO add to an image that only
+/// starts, and to one that copies memory and can panic as well.
 fn on_thumb(root: &Path) -> Result<[(&'static str, Size); 2]> {
     super::an521::build(root, &["--profile", "size"])?;
     let folder = build_dir(root).join(super::an521::TARGET).join("size");

@@ -297,8 +297,8 @@ impl SensorCheck {
         self.liar.is_some()
     }
 
-    /// Returns whether a residual was above its limit long enough to tell which sensor is wrong, or a
-    /// cause explains a smaller one.
+    /// Returns whether a residual was above its limit long enough to tell which sensor is wrong, or
+    /// a cause explains a smaller one.
     fn contradicts(&mut self) -> bool {
         let shares = self.used();
         let rises = shares.iter().zip(self.shares).map(|(new, old)| new - old);
@@ -486,8 +486,8 @@ impl SensorCheck {
         }
     }
 
-    /// Looks whether all signs of the line are turned: its heading then moves as much as the vehicle
-    /// turns, but the other way, whatever the vehicle does, and its offset moves with that heading.
+    /// Looks whether all signs of the line are turned: its heading then moves as much as the
+    /// vehicle turns, but the other way, whatever it does, and the offset moves with that heading.
     /// A vehicle that follows the road does not tell this from a bend whose sign alone is turned.
     fn on_turned(&mut self) {
         let [.., aside, heading, _] = self.residuals;
@@ -697,8 +697,8 @@ mod tests {
         check.liar()
     }
 
-    /// T-RED-9: in a change of lanes a small error of the yaw rate looks as turned signs of the line
-    /// do. The line is right.
+    /// T-RED-9: in a change of lanes a small error of the yaw rate looks as turned signs of the
+    /// line do. The line is right.
     #[test]
     fn a_wrong_yaw_rate_in_a_change_of_lanes_is_not_blamed_on_the_line() {
         const OFF: [Alter; 8] = [
