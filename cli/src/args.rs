@@ -36,7 +36,8 @@ The three jobs:
   reuse      the crates shm, redundancy, cores and bus are no_std; see README.md
 
 With --json a command prints one JSON document, and nothing else on stdout; with --json=FILE, or
---json FILE if FILE ends in .json, it writes the document there beside its text; docs/json.md.";
+--json FILE if FILE ends in .json or is a path to a new file, it writes the document there beside
+its text; docs/json.md.";
 
 const RUN_EXAMPLES: &str = "\
 Examples:

@@ -4,6 +4,8 @@
 //! keeps the text for people. A command that fails before it has a result leaves FILE as it was.
 
 use std::ffi::OsString;
+use std::fs::File;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -13,7 +15,7 @@ use crate::output::{OutputError, OutputFile, STDOUT, distinct};
 
 /// The option, as it stands on a command line.
 const OPTION: &str = "--json";
-/// A word behind the option is FILE only if it ends so.
+/// A word behind the option is FILE if it ends so.
 const SUFFIX: &str = ".json";
 
 /// The option `--json [FILE]` of a command.
@@ -21,8 +23,9 @@ const SUFFIX: &str = ".json";
 pub struct JsonOption {
     /// Print JSON on stdout instead of the text; with =FILE: write it there, beside the text
     ///
-    /// `--json FILE` means the same as `--json=FILE` if FILE ends in .json. Another word behind
-    /// `--json` is an argument of its own. docs/json.md describes the document of each command.
+    /// `--json FILE` means the same as `--json=FILE` if FILE ends in .json, or is a path with a
+    /// slash at which there is nothing, or an empty file, or JSON. Another word behind `--json`
+    /// is an argument of its own. docs/json.md describes the document of each command.
     #[arg(
         long,
         value_name = "FILE",
@@ -164,14 +167,36 @@ impl JsonLines {
     }
 }
 
+/// Returns whether a word behind the option is FILE, and not another argument. A path is FILE only
+/// if nothing would be lost by writing there: a folder and a manifest are arguments.
+fn is_file(word: &OsString) -> bool {
+    if word == STDOUT || word.as_encoded_bytes().ends_with(SUFFIX.as_bytes()) {
+        return true;
+    }
+    let path = Path::new(word);
+    if !word.as_encoded_bytes().contains(&b'/') {
+        return false;
+    }
+    let Ok(about) = path.metadata() else {
+        return path.parent().is_some_and(Path::is_dir);
+    };
+    // A device has no content; a file that cannot be read is not taken.
+    !about.is_dir() && (!about.is_file() || about.len() == 0 || begins_as_json(path))
+}
+
+fn begins_as_json(path: &Path) -> bool {
+    let mut first = [0];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut first));
+    read.is_ok() && matches!(first, [b'{' | b'['])
+}
+
 /// Joins `--json` and a FILE behind it to one word, which clap can tell from other arguments.
 pub(crate) fn joined(words: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     let mut all: Vec<OsString> = Vec::new();
     let mut is_over = false;
     for word in words {
-        let is_file = word == STDOUT || word.as_encoded_bytes().ends_with(SUFFIX.as_bytes());
         match all.last_mut() {
-            Some(last) if !is_over && last == OPTION && is_file => {
+            Some(last) if !is_over && last == OPTION && is_file(&word) => {
                 last.push("=");
                 last.push(word);
             }
@@ -235,6 +260,38 @@ mod tests {
             let expected = (file.map(str::to_owned), places.to_owned());
             assert_eq!(parsed(line), expected, "{line}");
         }
+    }
+
+    /// A path with a slash is FILE if nothing is lost by writing there.
+    #[test]
+    fn a_path_is_a_file_if_it_has_nothing_else() {
+        let root = tempfile::tempdir().unwrap();
+        let path = |name: &str| root.path().join(name).display().to_string();
+        for (name, content, is_file) in [
+            ("new", None, true),
+            ("empty", Some(""), true),
+            ("again", Some("[1]"), true),
+            ("m.toml", Some("name = 1"), false),
+            ("no/new", None, false),
+        ] {
+            if let Some(content) = content {
+                std::fs::write(path(name), content).unwrap();
+            }
+            let (file, places) = parsed(&format!("x --json {}", path(name)));
+            let expected = if is_file {
+                path(name)
+            } else {
+                STDOUT.to_owned()
+            };
+            assert_eq!(file, Some(expected), "{name}");
+            assert_eq!(places.is_empty(), is_file, "{name}");
+        }
+        let folder = root.path().display().to_string();
+        assert_eq!(
+            parsed(&format!("x --json {folder}/")).1,
+            format!("{folder}/")
+        );
+        assert_eq!(parsed("x --json /dev/null").0.as_deref(), Some("/dev/null"));
     }
 
     #[test]
