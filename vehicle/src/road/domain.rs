@@ -280,8 +280,8 @@ mod tests {
         assert_eq!(end(&[lanelet(1, &turn(30.0), 3.5)]), None);
     }
 
-    /// A zebra is no junction: the lane goes on across it. Nobody drives along it, and a lane that
-    /// crosses at the same place is still one.
+    /// A zebra is not a junction: the lane continues across it. No vehicle drives along a zebra. A
+    /// lane that crosses at the same place is a junction.
     #[test]
     fn a_zebra_ends_no_lane() {
         let straight = lanelet(1, &line((0.0, 0.0), (300.0, 0.0)), 3.5);

@@ -44,8 +44,8 @@ const CONTRADICTS_LINE: f32 = 0.25;
 /// share of the turn that the steering angle does not explain.
 const TURNS: f32 = 0.02;
 const TURNS_SHARE: f32 = 0.5;
-/// All signs of a line are turned if twice the vehicle's turn explains its heading but for this
-/// share, for so many scenes.
+/// All signs of a line are turned if, in this number of successive scenes, its heading differs from
+/// twice the vehicle's turn by less than this share.
 const TURNED_SHARE: f32 = 0.15;
 const TURNED_SCENES: u8 = 6;
 /// Below this share of the heading, the line's turn is that of a vehicle that follows the road.
@@ -211,7 +211,7 @@ pub(super) struct SensorCheck {
     settles: u8,
     /// The turn by the yaw rate, summed as the residuals, rad.
     yawed: f32,
-    /// For so many scenes the line seemed to have all signs turned.
+    /// Number of successive scenes in which all signs of the line seemed turned.
     turned_scenes: u8,
     liar: Option<Liar>,
     /// Where the vehicle stops if the line is wrong: distance from the newest scene, m.
