@@ -12,9 +12,10 @@ const ONCOMING: f32 = 1.0;
 /// an angle with a larger tangent than this.
 const CROSSING: f32 = 1.5;
 const CROSSING_SLOPE: f32 = 0.35;
-/// The same for one that moves along: in a fast change of lanes at low speed the tangent reaches
-/// 0.45.
+/// The same for one that changes lanes: it moves along from at most this far aside, m, and at low
+/// speed its tangent reaches 0.45.
 const CROSSING_SLOPE_ALONG: f32 = 0.6;
+const NEXT_LANE_M: f32 = 5.0;
 /// A speed below this against the ego's direction, m/s, is noise: the road user has just stopped.
 const ROLLS_BACK: f32 = 0.5;
 /// Time constant with which a movement across the road ends, s.
@@ -58,7 +59,7 @@ impl Predicted {
         let across = object.vy * cosine - object.vx * sine;
         let speed = object.vx * cosine + object.vy * sine;
         let (is_oncoming, turns) = (speed < -ONCOMING, abs(across) > CROSSING);
-        let slope = if speed > 0.0 {
+        let slope = if speed > 0.0 && abs(d) < NEXT_LANE_M {
             CROSSING_SLOPE_ALONG
         } else {
             CROSSING_SLOPE
@@ -207,7 +208,12 @@ mod tests {
         let changes = moving(2.5, 7.2, -2.8);
         assert!(!changes.crosses());
         assert_eq!(changes.across(8.0), 0.0);
-        for (y, vx, vy) in [(2.5, 0.0, -2.0), (2.5, 3.0, -3.0), (2.5, -6.0, -2.8)] {
+        for (y, vx, vy) in [
+            (2.5, 0.0, -2.0),
+            (2.5, 3.0, -3.0),
+            (2.5, -6.0, -2.8),
+            (10.0, 3.5, -2.0),
+        ] {
             assert!(moving(y, vx, vy).crosses(), "{y} {vx} {vy}");
         }
     }
